@@ -1,0 +1,183 @@
+"""The meter: a problem as a solver sees it, counted and limited."""
+
+from __future__ import annotations
+
+import math
+import sys
+import time
+from operator import le
+from typing import final
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from .budget import Budget
+from .errors import BudgetExhausted, InvalidEvaluation
+from .problem import Problem, check_box
+from .trace import Recorder, Trace
+
+__all__ = ["MeteredProblem"]
+
+_SMALL = 32  # up to this dimension a Python loop over the bounds is faster than NumPy's
+
+
+@final
+class MeteredProblem(Problem):
+    """Counts every evaluation of ``problem``, keeps the best point, and stops the solver at the budget.
+
+    * The evaluation beyond the budget is never made: a batch that would cross it is cut, evaluated up to the
+      budget, and BudgetExhausted is raised; so it is on every later call.
+    * A point outside the box, or of a wrong shape, is not evaluated: InvalidEvaluation, and the run is ``invalid``.
+      Nothing is clipped.
+    * A value that is NaN or infinite reaches the solver as +inf and never becomes the best; ``nonfinite`` counts them.
+    * ``lower``, ``upper`` and the arrays it keeps are read-only; what it returns is the solver's own.
+    """
+
+    def __init__(self, problem: Problem, budget: Budget) -> None:
+        self.lower, self.upper = check_box(problem.lower, problem.upper)
+        self.has_gradient = problem.has_gradient  # type: ignore[misc]  # the instance speaks for what it wraps
+        self.evaluations = 0
+        self.gradients = 0
+        self.nonfinite = 0
+        self.best_value = math.inf
+        self.best_point: Float[ndarray, " n"] | None = None
+        self.fault: str | None = None
+        self._problem = problem
+        self._value = problem.value
+        self._limit = budget.evaluations if budget.evaluations is not None else sys.maxsize
+        self._target = budget.target if budget.target is not None else -math.inf
+        self._shape = self.lower.shape
+        self._lower, self._upper = self.lower.tolist(), self.upper.tolist()
+        self._recorder = Recorder()
+        self._start = time.perf_counter()
+        self._deadline = self._start + budget.seconds if budget.seconds is not None else math.inf
+
+    @property
+    def remaining(self) -> int:
+        """Evaluations left; ``sys.maxsize`` less those made where the budget does not count them."""
+        return self._limit - self.evaluations
+
+    @property
+    def seconds(self) -> float:
+        """Wall-clock time since the meter was made [s]."""
+        return time.perf_counter() - self._start
+
+    @property
+    def trace(self) -> Trace:
+        """Every improvement so far, thinned to under 1,000 rows."""
+        return self._recorder.trace(self.dimension, self.evaluations, self.seconds)
+
+    def from_unit(self, U: Float[ndarray, "*p n"]) -> Float[ndarray, "*p n"]:
+        """Points of the unit box [0, 1]ⁿ as points of this box, safe against rounding past its edge."""
+        return np.clip(self.lower + U * (self.upper - self.lower), self.lower, self.upper)
+
+    def to_unit(self, X: Float[ndarray, "*p n"]) -> Float[ndarray, "*p n"]:
+        """Points of this box as points of the unit box [0, 1]ⁿ."""
+        return (X - self.lower) / (self.upper - self.lower)
+
+    def __call__(self, x: Float[ndarray, " n"]) -> float:
+        """The value at one point ``(n,)``."""
+        if type(x) is not ndarray or x.dtype != np.float64:
+            x = np.asarray(x, dtype=np.float64)
+        self._admit(x)
+        value = self._value(x)
+        if not isinstance(value, float):
+            value = self._scalar(value)
+        return self._note(x, value)
+
+    def evaluate(self, X: Float[ndarray, "p n"]) -> Float[ndarray, " p"]:
+        """The values at p points, one a row."""
+        X = np.asarray(X, dtype=np.float64)
+        if X.ndim != 2 or X.shape[1:] != self._shape:
+            self._refuse(f"expected a batch of shape (p, {self.dimension}), got {X.shape}")
+        if not len(X):
+            return np.empty(0)
+        self._check_budget()
+        inside = np.logical_and(self.lower <= X, self.upper >= X).all()  # false for NaN too
+        if not inside:
+            self._refuse(self._outside(X[~np.logical_and(self.lower <= X, self.upper >= X).all(axis=1)][0]))
+        batch = X[: self.remaining]
+        values = np.array(self._problem.evaluate(batch), dtype=np.float64)
+        if values.shape != (len(batch),):
+            self._refuse(f"the problem: expected values of shape ({len(batch)},), got {values.shape}")
+        finite = np.isfinite(values)
+        if not finite.all():
+            self.nonfinite += int(np.count_nonzero(~finite))
+            values[~finite] = math.inf
+        self._note_batch(batch, values)
+        if len(batch) < len(X):
+            raise BudgetExhausted
+        return values
+
+    def value(self, x: Float[ndarray, " n"]) -> float:
+        """The same as calling the meter: the value at one point."""
+        return self(x)
+
+    def value_and_gradient(self, x: Float[ndarray, " n"]) -> tuple[float, Float[ndarray, " n"]]:
+        """The value and gradient at one point; counts as one evaluation, and in ``gradients``."""
+        x = np.asarray(x, dtype=np.float64)
+        self._admit(x)
+        value, gradient = self._problem.value_and_gradient(x)
+        self.gradients += 1
+        return self._note(x, self._scalar(value)), np.array(gradient, dtype=np.float64)
+
+    def _admit(self, x: ndarray) -> None:
+        """Let one point through, or raise."""
+        self._check_budget()
+        if x.shape != self._shape:
+            self._refuse(f"expected a point of shape {self._shape}, got {x.shape}")
+        if len(x) <= _SMALL:
+            point = x.tolist()
+            inside = all(map(le, self._lower, point)) and all(map(le, point, self._upper))  # false for NaN too
+        else:
+            inside = bool((self.lower <= x).all() and (x <= self.upper).all())
+        if not inside:
+            self._refuse(self._outside(x))
+
+    def _check_budget(self) -> None:
+        if self.evaluations >= self._limit or self.best_value <= self._target or time.perf_counter() >= self._deadline:
+            raise BudgetExhausted
+        if self.fault is not None:
+            raise InvalidEvaluation(self.fault)
+
+    def _note(self, x: ndarray, value: float) -> float:
+        self.evaluations += 1
+        if not math.isfinite(value):
+            self.nonfinite += 1
+            value = math.inf
+        if value < self.best_value or self.evaluations == 1:
+            self._improve(self.evaluations, x, value)
+        return value
+
+    def _note_batch(self, batch: ndarray, values: ndarray) -> None:
+        """Trace each improvement at its own place within the batch, as if evaluated one by one."""
+        before = self.evaluations
+        self.evaluations += len(values)
+        best_before = np.minimum.accumulate(np.concatenate([[self.best_value], values[:-1]]))
+        improved = values < best_before
+        improved[0] |= before == 0
+        for i in np.flatnonzero(improved):
+            self._improve(before + int(i) + 1, batch[i], float(values[i]))
+
+    def _improve(self, evaluation: int, x: ndarray, value: float) -> None:
+        point = x.copy()
+        point.flags.writeable = False
+        if value < math.inf:
+            self.best_value, self.best_point = value, point
+        self._recorder.add(evaluation, self.seconds, value, point)
+
+    def _scalar(self, value: object) -> float:
+        array = np.asarray(value, dtype=np.float64)
+        if array.ndim:
+            self._refuse(f"the problem: expected one number for one point, got shape {array.shape}")
+        return float(array)
+
+    def _outside(self, x: ndarray) -> str:
+        j = int(np.flatnonzero(~((self.lower <= x) & (x <= self.upper)))[0])
+        return f"x[{j}]: expected a number within [{self.lower[j]!r}, {self.upper[j]!r}], got {x[j]!r}"
+
+    def _refuse(self, fault: str) -> None:
+        """Remember the fault, so that it counts even if a library swallows the exception."""
+        self.fault = self.fault or fault
+        raise InvalidEvaluation(fault)

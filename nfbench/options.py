@@ -1,0 +1,207 @@
+"""Options: frozen dataclasses whose fields are checked when they are constructed.
+
+A solver, formulation, scenario or array is an :class:`Options`. A field's type says what is allowed, with limits in
+``Annotated``::
+
+    population: Annotated[int, Ge(4)] = 50
+    bounds: Literal["resample", "clip"] = "resample"
+"""
+
+from __future__ import annotations
+
+import contextlib
+import contextvars
+import dataclasses
+import difflib
+import functools
+import typing
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
+from typing import Annotated, Any, TypeVar
+
+from annotated_types import Ge, Gt, Le, Lt
+from pydantic import AfterValidator, ConfigDict, TypeAdapter, ValidationError
+
+from .errors import OptionError
+
+__all__ = [
+    "FilePath",
+    "Ge",
+    "Gt",
+    "Le",
+    "Lt",
+    "OneOf",
+    "Options",
+    "build",
+    "canonical",
+    "relative_to",
+    "suggest",
+]
+
+T = TypeVar("T", bound="Options")
+
+_folder: contextvars.ContextVar[Path | None] = contextvars.ContextVar("folder", default=None)
+
+
+@dataclasses.dataclass(frozen=True)
+class Options:
+    """Base of everything with options. Subclass as a frozen dataclass; ``validate`` is for rules across fields."""
+
+    def __post_init__(self) -> None:
+        problems = []
+        for name in _adapters(type(self)):
+            value, found = _checked(type(self), name, getattr(self, name))
+            problems += found
+            object.__setattr__(self, name, value)
+        if problems:
+            raise OptionError(type(self).__name__, problems)
+        try:
+            self.validate()
+        except OptionError:
+            raise
+        except ValueError as error:
+            raise OptionError(type(self).__name__, [("", str(error))]) from error
+
+    def validate(self) -> None:
+        """Raise ValueError or OptionError where fields contradict each other; fields are each valid by now."""
+
+
+def build(cls: type[T], options: Mapping[str, Any]) -> T:
+    """Make ``cls`` from a table of options, as a manifest has them.
+
+    Raises OptionError with every problem at once: unknown names (with the nearest known one), missing ones, values.
+    """
+    fields = {f.name: f for f in dataclasses.fields(cls) if f.init}
+    problems = [(name, f"unknown option{suggest(name, fields)}") for name in options if name not in fields]
+    for name, field in fields.items():
+        if field.default is field.default_factory is dataclasses.MISSING and name not in options:
+            problems.append((name, "is required"))
+    known = {name: value for name, value in options.items() if name in fields}
+    if problems:  # still check the values of what is known, so that one pass shows every error
+        for name, value in known.items():
+            problems += _checked(cls, name, value)[1]
+        raise OptionError(cls.__name__, problems)
+    return cls(**known)
+
+
+def canonical(value: Any) -> Any:
+    """Plain data (dicts, lists, text, numbers) that says everything an option or Options object holds."""
+    if isinstance(value, Options):
+        table = {f.name: canonical(getattr(value, f.name)) for f in dataclasses.fields(value) if f.init}
+        kind = getattr(type(value), "kind", None)
+        return {"kind": kind, **table} if isinstance(kind, str) else table
+    if isinstance(value, Mapping):
+        return {str(key): canonical(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [canonical(item) for item in value]
+    return value
+
+
+def suggest(name: str, known: Iterable[str]) -> str:
+    """``; did you mean "x"?`` for the nearest of ``known``, or what there is to choose from."""
+    known = sorted(known)
+    near = difflib.get_close_matches(name, known, n=1)
+    if near:
+        return f'; did you mean "{near[0]}"?'
+    return f"; known: {', '.join(known)}" if known else ""
+
+
+class OneOf:
+    """Annotation of a field that holds one of several Options, told apart by ``kind``.
+
+    ``array: Annotated[Array, OneOf(ULA, UPA)]`` takes ``{"kind": "ula", "elements": 128}`` or a ``ULA`` object.
+    Each class names itself in a class variable ``kind``.
+    """
+
+    def __init__(self, *classes: type[Options]) -> None:
+        self.classes: dict[str, type[Options]] = {vars(cls)["kind"]: cls for cls in classes}
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
+        from pydantic_core import core_schema
+
+        return core_schema.no_info_plain_validator_function(self._build)
+
+    def _build(self, value: Any) -> Options:
+        if isinstance(value, tuple(self.classes.values())):
+            return typing.cast(Options, value)
+        if not isinstance(value, Mapping):
+            raise ValueError(f"expected a table with a kind ({', '.join(self.classes)}), got {value!r}")
+        kind = value.get("kind")
+        if kind not in self.classes:
+            hint = suggest(str(kind), self.classes) if kind is not None else f"; known: {', '.join(self.classes)}"
+            raise OptionError("", [("kind", f"{'is required' if kind is None else f'unknown kind {kind!r}'}{hint}")])
+        return build(self.classes[kind], {name: item for name, item in value.items() if name != "kind"})
+
+
+@contextlib.contextmanager
+def relative_to(folder: Path) -> Iterator[None]:
+    """Within this context, relative :data:`FilePath` options are taken from ``folder`` (the manifest's)."""
+    token = _folder.set(folder)
+    try:
+        yield
+    finally:
+        _folder.reset(token)
+
+
+def _resolve(path: str) -> str:
+    resolved = (_folder.get() or Path()) / path
+    if not resolved.is_file():
+        raise ValueError(f"no such file: {resolved}")
+    return str(resolved)
+
+
+FilePath = Annotated[str, AfterValidator(_resolve)]
+"""An option that names an existing file, relative to the manifest."""
+
+
+@functools.cache
+def _adapters(cls: type[Options]) -> dict[str, TypeAdapter[Any]]:
+    hints = typing.get_type_hints(cls, include_extras=True)
+    strict = ConfigDict(strict=True, arbitrary_types_allowed=True)
+    return {f.name: TypeAdapter(hints[f.name], config=strict) for f in dataclasses.fields(cls) if f.init}
+
+
+def _checked(cls: type[Options], name: str, value: Any) -> tuple[Any, list[tuple[str, str]]]:
+    """A field's value as its type wants it, and what is wrong with it as (path, message) pairs."""
+    value = _frozen(value)
+    if isinstance(value, float) and value != value:
+        return value, [(name, "expected a number, got nan")]
+    try:
+        return _adapters(cls)[name].validate_python(value), []
+    except ValidationError as error:
+        return value, _explain(name, error)
+
+
+def _frozen(value: Any) -> Any:
+    """Lists become tuples, so that options can be hashed and compared."""
+    if isinstance(value, list | tuple):
+        return tuple(_frozen(item) for item in value)
+    return value
+
+
+def _explain(name: str, error: ValidationError) -> list[tuple[str, str]]:
+    """A ValidationError of one field as (path, message) pairs in our words."""
+    problems: dict[str, list[str]] = {}
+    for item in error.errors(include_url=False):
+        inner = item.get("ctx", {}).get("error")
+        if isinstance(inner, OptionError):
+            for path, text in inner.problems:
+                problems.setdefault(f"{name}.{path}" if path else name, []).append(text)
+            continue
+        # positions within a list are numbers; what else pydantic puts there names branches of a union
+        path = name + "".join(f"[{part}]" for part in item["loc"] if isinstance(part, int))
+        expected = item["msg"].removeprefix("Value error, ").removeprefix("Input should be ").removeprefix("a valid ")
+        came = item["input"]
+        text = str(inner) if inner is not None else f"expected {expected}, got {came!r}"
+        problems.setdefault(path, []).append(text)
+    return [(path, _joined(texts)) for path, texts in problems.items()]
+
+
+def _joined(texts: list[str]) -> str:
+    """The alternatives of a union as one message: "expected number or tuple, got 'x'"."""
+    texts = list(dict.fromkeys(texts))
+    tails = {text.rpartition(", got ")[2] for text in texts}
+    if len(texts) > 1 and len(tails) == 1 and all(text.startswith("expected ") for text in texts):
+        heads = (text.rpartition(", got ")[0].removeprefix("expected ") for text in texts)
+        return f"expected {' or '.join(heads)}, got {tails.pop()}"
+    return "; ".join(texts)

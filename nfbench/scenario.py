@@ -1,0 +1,41 @@
+"""The contracts of a scenario, what is measured, and of an instance, one draw of it."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy import ndarray
+
+from .options import Options
+
+__all__ = ["Instance", "Scenario"]
+
+
+class Instance(ABC):
+    """One draw of a scenario: the data every method sees, and the truth by which it is scored."""
+
+    @abstractmethod
+    def score(self, estimate: ndarray) -> dict[str, float]:
+        """Scores of an estimate by column name, among them the scenario's ``error``.
+
+        Raises ValueError when the estimate's shape does not fit; a NaN score makes the run ``invalid``.
+        """
+
+
+@dataclass(frozen=True)
+class Scenario(Options, ABC):
+    """What is measured. Subclass as a frozen dataclass: its fields are the keys of ``[scenario]`` and ``[sweep]``.
+
+    ``instance`` is the class that ``draw`` returns, by which formulations tell what they can solve.
+    ``error`` names the score by which methods are ranked, smaller is better.
+    """
+
+    instance: ClassVar[type[Instance]]
+    error: ClassVar[str] = "rmse_m"
+
+    @abstractmethod
+    def draw(self, rng: np.random.Generator) -> Instance:
+        """Draw one instance from the generator handed in, and from nothing else."""

@@ -1,0 +1,1 @@
+"""Near-field source localization problems, installed as nfbench.problems."""
