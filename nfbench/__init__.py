@@ -5,6 +5,9 @@ The contracts of plugins and the few calls a notebook needs, in one import.
 
 from __future__ import annotations
 
+import importlib
+from typing import TYPE_CHECKING, Any
+
 from .budget import Budget, Status
 from .errors import (
     BudgetExhausted,
@@ -51,11 +54,42 @@ __all__ = [
     "Options",
     "PluginError",
     "Problem",
+    "Results",
     "Scenario",
     "Solver",
     "SolverInfo",
     "Status",
     "StoreError",
+    "Study",
     "Trace",
+    "load_study",
     "minimize",
+    "run",
+    "solver",
 ]
+
+if TYPE_CHECKING:
+    from .manifest import load_study
+    from .results import Results, run
+    from .study import Study
+
+_LAZY = {"load_study": "manifest", "Results": "results", "run": "results", "Study": "study"}
+
+
+def __getattr__(name: str) -> Any:
+    """What brings in pandas comes only when asked for, so that ``import nfbench`` stays quick."""
+    if name in _LAZY:
+        return getattr(importlib.import_module(f".{_LAZY[name]}", __name__), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def solver(name: str, **options: Any) -> Solver:
+    """A registered solver by name, e.g. ``nfbench.solver("de", population=120)``.
+
+    Raises PluginError for an unknown name, OptionError for unknown or impossible options.
+    """
+    from .registry import Registry
+
+    made = Registry().make("solver", name, options)
+    assert isinstance(made, Solver)
+    return made

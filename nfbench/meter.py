@@ -70,11 +70,13 @@ class MeteredProblem(Problem):
 
     def from_unit(self, U: Float[ndarray, "*p n"]) -> Float[ndarray, "*p n"]:
         """Points of the unit box [0, 1]ⁿ as points of this box, safe against rounding past its edge."""
-        return np.clip(self.lower + U * (self.upper - self.lower), self.lower, self.upper)
+        X: ndarray = np.clip(self.lower + U * (self.upper - self.lower), self.lower, self.upper)
+        return X
 
     def to_unit(self, X: Float[ndarray, "*p n"]) -> Float[ndarray, "*p n"]:
         """Points of this box as points of the unit box [0, 1]ⁿ."""
-        return (X - self.lower) / (self.upper - self.lower)
+        U: ndarray = (X - self.lower) / (self.upper - self.lower)
+        return U
 
     def __call__(self, x: Float[ndarray, " n"]) -> float:
         """The value at one point ``(n,)``."""
@@ -175,7 +177,7 @@ class MeteredProblem(Problem):
 
     def _outside(self, x: ndarray) -> str:
         j = int(np.flatnonzero(~((self.lower <= x) & (x <= self.upper)))[0])
-        return f"x[{j}]: expected a number within [{self.lower[j]!r}, {self.upper[j]!r}], got {x[j]!r}"
+        return f"x[{j}]: expected a number within [{self._lower[j]!r}, {self._upper[j]!r}], got {float(x[j])!r}"
 
     def _refuse(self, fault: str) -> None:
         """Remember the fault, so that it counts even if a library swallows the exception."""

@@ -13,7 +13,6 @@ import contextlib
 import contextvars
 import dataclasses
 import difflib
-import functools
 import typing
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
@@ -40,6 +39,7 @@ __all__ = [
 
 T = TypeVar("T", bound="Options")
 
+_known_adapters: dict[type, dict[str, TypeAdapter[Any]]] = {}
 _folder: contextvars.ContextVar[Path | None] = contextvars.ContextVar("folder", default=None)
 
 
@@ -154,11 +154,13 @@ FilePath = Annotated[str, AfterValidator(_resolve)]
 """An option that names an existing file, relative to the manifest."""
 
 
-@functools.cache
 def _adapters(cls: type[Options]) -> dict[str, TypeAdapter[Any]]:
+    if cls in _known_adapters:
+        return _known_adapters[cls]
     hints = typing.get_type_hints(cls, include_extras=True)
     strict = ConfigDict(strict=True, arbitrary_types_allowed=True)
-    return {f.name: TypeAdapter(hints[f.name], config=strict) for f in dataclasses.fields(cls) if f.init}
+    adapters = {f.name: TypeAdapter(hints[f.name], config=strict) for f in dataclasses.fields(cls) if f.init}
+    return _known_adapters.setdefault(cls, adapters)
 
 
 def _checked(cls: type[Options], name: str, value: Any) -> tuple[Any, list[tuple[str, str]]]:
@@ -190,7 +192,9 @@ def _explain(name: str, error: ValidationError) -> list[tuple[str, str]]:
             continue
         # positions within a list are numbers; what else pydantic puts there names branches of a union
         path = name + "".join(f"[{part}]" for part in item["loc"] if isinstance(part, int))
-        expected = item["msg"].removeprefix("Value error, ").removeprefix("Input should be ").removeprefix("a valid ")
+        if item["type"] == "string_pattern_mismatch":
+            item["msg"] = f"text that matches {item['ctx']['pattern']}"
+        expected = item["msg"].removeprefix("Input should be ").removeprefix("a valid ").replace("tuple", "list")
         came = item["input"]
         text = str(inner) if inner is not None else f"expected {expected}, got {came!r}"
         problems.setdefault(path, []).append(text)

@@ -1,0 +1,126 @@
+"""Shows what is registered: the tables of ``nfbench list`` and the page of ``nfbench show``."""
+
+from __future__ import annotations
+
+import dataclasses
+import inspect
+import typing
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+from .errors import PluginError
+from .options import build
+from .registry import Registry
+from .solver import Solver
+
+__all__ = ["print_catalogue", "print_plugin", "solvers_named"]
+
+
+def print_catalogue(registry: Registry, kinds: Iterable[str], console: Console) -> None:
+    """One table a kind; a plugin that fails to import is listed with its error."""
+    for kind in kinds:
+        table = Table(title=f"{kind}s", title_justify="left", title_style="bold")
+        for head in _HEADS[kind]:
+            table.add_column(head, overflow="fold")
+        for name in registry.names(kind):
+            plugin = registry.find(kind, name)
+            try:
+                cells = _row(kind, plugin.resolve())
+            except PluginError as error:
+                cells = [f"[red]{error}[/red]"]
+            table.add_row(name, *cells)
+        console.print(table)
+    for file, why in registry.broken.items():
+        console.print(f"[red]{file.name} is left out: {why}[/red]")
+
+
+def print_plugin(registry: Registry, kind: str, name: str, console: Console) -> None:
+    """What it is, in its docstring's words, and each option with type and default. Raises PluginError if unknown."""
+    plugin = registry.find(kind, name)
+    cls = plugin.resolve()
+    console.print(f"[bold]{kind} {name}[/bold] ({plugin.origin})\n")
+    console.print(_doc(cls), markup=False)
+    if issubclass(cls, Solver):
+        for field in dataclasses.fields(cls.info):
+            value = getattr(cls.info, field.name)
+            if value not in ("", None):
+                console.print(f"  {field.name}: {value}", markup=False)
+    table = Table(title="options", title_justify="left", title_style="bold")
+    for head in ("name", "type", "default"):
+        table.add_column(head, overflow="fold")
+    hints = typing.get_type_hints(cls, include_extras=True)
+    for option in dataclasses.fields(cls):
+        table.add_row(option.name, _type(hints[option.name]), _default(option))
+    if table.row_count:
+        console.print(table)
+
+
+def solvers_named(name: str, plugins: Iterable[Path] = ()) -> Iterator[tuple[str, Solver]]:
+    """The solver of that registered name, or all in that plugin file, with default options."""
+    is_file = name.endswith(".py") or Path(name).is_file()
+    registry = Registry([*plugins, name] if is_file else plugins)
+    for file, why in registry.broken.items():
+        raise PluginError(f"plugin {file.name} failed to import: {why}")
+    names = [name]
+    if is_file:
+        names = [n for n in registry.names("solver") if registry.find("solver", n).origin == Path(name).name]
+        if not names:
+            raise PluginError(f"{name}: expected a class derived from nfbench.Solver, found none")
+    for solver in names:
+        yield solver, typing.cast(Solver, build(registry.find("solver", solver).resolve(), {}))
+
+
+_HEADS = {
+    "solver": ("name", "search", "points", "random", "gradient", "reference"),
+    "formulation": ("name", "needs a solver", "what it is"),
+    "scenario": ("name", "ranked by", "what it is"),
+}
+
+
+def _row(kind: str, cls: Any) -> list[str]:
+    if kind == "solver":
+        info = cls.info
+        return [
+            "global" if info.global_search else "local",
+            "batch" if info.batched else "single",
+            "yes" if info.stochastic else "no",
+            "needed" if info.needs_gradient else "no",
+            info.reference,
+        ]
+    return [("yes" if cls.needs_solver else "no") if kind == "formulation" else cls.error, _doc(cls).partition("\n")[0]]
+
+
+def _doc(cls: type) -> str:
+    """The class's own docstring, not the signature that a dataclass makes up for want of one."""
+    doc = inspect.getdoc(cls) or ""
+    return "" if doc.startswith(f"{cls.__name__}(") else doc
+
+
+def _type(hint: Any) -> str:
+    """A field's type as a reader of a manifest needs it: ``int >= 4``, ``"clip" | "resample"``."""
+    if typing.get_origin(hint) is typing.Annotated:
+        inner, *marks = typing.get_args(hint)
+        limits = [_limit(mark) for mark in marks]
+        return " ".join([_type(inner), *filter(None, limits)])
+    if typing.get_origin(hint) is typing.Literal:
+        return " | ".join(repr(choice) for choice in typing.get_args(hint))
+    if typing.get_args(hint) and typing.get_origin(hint) not in (tuple, list, dict):
+        return " | ".join(_type(part) for part in typing.get_args(hint) if part is not type(None))
+    return hint.__name__ if isinstance(hint, type) and not typing.get_args(hint) else str(hint).replace("typing.", "")
+
+
+def _limit(mark: Any) -> str:
+    for sign, attribute in ((">=", "ge"), (">", "gt"), ("<=", "le"), ("<", "lt")):
+        if hasattr(mark, attribute):
+            return f"{sign} {getattr(mark, attribute)}"
+    return ""
+
+
+def _default(option: dataclasses.Field[Any]) -> str:
+    if option.default is not dataclasses.MISSING:
+        return "none" if option.default is None else str(option.default)
+    return "required" if option.default_factory is dataclasses.MISSING else str(option.default_factory())

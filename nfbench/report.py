@@ -1,0 +1,142 @@
+"""What a study found, for the terminal: a table a scenario point, and a sentence that says no more than it shows."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from .budget import Status
+from .results import Results
+from .tables import default_groups
+
+__all__ = ["print_report", "verdict"]
+
+MIN_PAIRS = 6  # with fewer pairs no two-sided test at 5 % can tell two methods apart: 2·(1/2)⁶ = 0.03
+RESAMPLES = 4000
+WIDE = 100  # columns of a terminal that takes the whole table
+
+
+def print_report(results: Results, console: Console) -> None:
+    """Print the summary, its verdict for each scenario point, and every kind of failure with an example."""
+    meta, runs, summary = results.meta, results.runs, results.summary()
+    if runs.empty:
+        console.print("No run is finished yet.")
+        return
+    if meta["title"]:
+        console.print(f"\n[bold]{escape(meta['title'])}[/bold]")
+    if meta["expect"]:
+        console.print(f"[dim]Expected: {escape(meta['expect'])}[/dim]")
+    for where, rows, at in _by_point(summary, runs):
+        console.print()
+        console.print(_table(where, rows, meta["error"], float(meta["outlier_m"]), narrow=console.width < WIDE))
+        console.print(escape(verdict(at, meta["error"])))
+    _print_failures(runs, console)
+
+
+def verdict(runs: pd.DataFrame, error: str) -> str:
+    """Which method has the smallest error over these runs, and which of the others it cannot be told from.
+
+    Methods are compared on the instances they share: another method counts as worse where the 95 % bootstrap interval
+    of its paired excess in squared error lies above zero.
+    """
+    ok = runs[runs["status"] == Status.OK]
+    if ok.empty or error not in ok.columns:
+        return "No run ended with an estimate."
+    squares = ok.assign(square=ok[error] ** 2).pivot(index="repetition", columns="method", values="square")
+    best = squares.mean().idxmin()
+    unit = " m" if error.endswith("_m") else ""
+    found = f"{best} has the smallest error here ({math.sqrt(squares[best].mean()):.3g}{unit} root mean square"
+    others = [method for method in squares.columns if method != best]
+    if not others:
+        return f"{found})."
+    pairs = int(squares.dropna().shape[0])
+    if pairs < MIN_PAIRS:
+        return (
+            f"{found}), but {pairs} shared {'repetition does' if pairs == 1 else 'repetitions do'} not rank methods: "
+            f"set repetitions to {MIN_PAIRS} or more, better 100."
+        )
+    level = [method for method in others if not _worse((squares[method] - squares[best]).dropna().to_numpy())]
+    if not level:
+        return f"{found}, {pairs} repetitions), and every other method is worse (95 % paired bootstrap)."
+    return f"{found}, {pairs} repetitions); not told from it: {', '.join(level)} (95 % paired bootstrap)."
+
+
+def _worse(excess: np.ndarray) -> bool:
+    if len(excess) < MIN_PAIRS:
+        return False
+    rng = np.random.default_rng(0)
+    means = [excess[rng.integers(len(excess), size=len(excess))].mean() for _ in range(RESAMPLES)]
+    return bool(np.quantile(means, 0.025) > 0)
+
+
+def _by_point(summary: pd.DataFrame, runs: pd.DataFrame) -> Iterator[tuple[str, pd.DataFrame, pd.DataFrame]]:
+    """(name of the point, its rows of the summary, its runs) for each scenario point."""
+    swept = default_groups(runs)[:-3]
+    if not swept:
+        yield "", summary, runs
+        return
+    for key, rows in summary.groupby(swept, sort=False):
+        here = np.logical_and.reduce([runs[name] == value for name, value in zip(swept, key, strict=True)])
+        where = ", ".join(f"{name.removeprefix('scenario.')} = {value}" for name, value in zip(swept, key, strict=True))
+        yield where, rows, runs[here]
+
+
+def _table(where: str, rows: pd.DataFrame, error: str, outlier_m: float, *, narrow: bool) -> Table:
+    """The rows of one scenario point, best first; a narrow terminal gets fewer columns."""
+    metres = error == "rmse_m"
+    name, unit = ("RMSE", "m") if metres else (f"RMS {error}", "")
+    median, q90 = ("median_m", "q90_m") if metres else (f"{error}_median", f"{error}_q90")
+    columns: dict[str, tuple[str, Callable[[Any], str]]] = {  # heading: (unit, cell of a row)
+        name: (unit, lambda row: _number(row[error])),
+        "95 % interval": (unit, lambda row: _interval(row[f"{error}_low"], row[f"{error}_high"])),
+        "median": (unit, lambda row: _number(row[median])),
+        "90 %": (unit, lambda row: _number(row[q90])),
+        "off by": (f"> {outlier_m:g} m", lambda row: _percent(row["outlier_rate"])),
+        "evals": ("", lambda row: _count(row["evaluations"])),
+        "time": ("s", lambda row: _number(row["runtime_s"])),
+        "runs": ("", lambda row: str(row["runs"])),
+        "failed": ("", lambda row: f"[red]{row['failed']}[/red]" if row["failed"] else "0"),
+    }
+    left_out = {"90 %", "off by", "runs"} if narrow else set() if metres else {"off by"}
+    shown = {head: column for head, column in columns.items() if head not in left_out}
+    table = Table(title=where or None, title_justify="left", title_style="bold", box=SIMPLE_HEAD, pad_edge=False)
+    table.add_column("method\n", overflow="fold", min_width=16)
+    for head, (measure, _) in shown.items():
+        table.add_column(f"{head}\n{measure}", justify="right", no_wrap=True)
+    for row in rows.sort_values(error, na_position="last").to_dict("records"):
+        table.add_row(escape(str(row["method"])), *(cell(row) for _, cell in shown.values()))
+    return table
+
+
+def _print_failures(runs: pd.DataFrame, console: Console) -> None:
+    """Each status other than ok, how often and for which method, with one message."""
+    bad = runs[runs["status"] != Status.OK]
+    for (status, method), group in bad.groupby(["status", "method"], sort=False):
+        console.print(f"[red]{status}[/red] × {len(group)}: {escape(method)}: {escape(group['message'].iloc[0])}")
+
+
+def _number(value: float) -> str:
+    """Three significant digits, without the exponent where a reader does better without."""
+    if math.isnan(value):
+        return "–"
+    return f"{value:.3g}" if value == 0 or not 1e-4 <= abs(value) < 1e4 else f"{float(f'{value:.3g}'):.6g}"
+
+
+def _interval(low: float, high: float) -> str:
+    return "" if math.isnan(low) else f"{_number(low)} – {_number(high)}"
+
+
+def _percent(share: float) -> str:
+    return "–" if math.isnan(share) else f"{share:.0%}"
+
+
+def _count(value: float) -> str:
+    return "–" if math.isnan(value) else f"{value:,.0f}"

@@ -1,0 +1,135 @@
+"""A study: scenario points × methods × repetitions, and the pure generator of its runs."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+__all__ = ["Choice", "Method", "Point", "RunSpec", "Study"]
+
+
+@dataclass(frozen=True)
+class Choice:
+    """One scenario, formulation or solver with its options, as plain data.
+
+    label: its name in tables. options: canonical, defaults included. version: of the plugin that provides it.
+    broken: why it cannot be made (a plugin file that fails to import); its runs fail with this message.
+    """
+
+    kind: str
+    label: str
+    options: dict[str, Any]
+    version: str
+    broken: str | None = None
+
+    @property
+    def identity(self) -> dict[str, Any]:
+        """What it is, whatever it is called."""
+        return {"kind": self.kind, **self.options}
+
+
+@dataclass(frozen=True)
+class Point:
+    """One point of the sweep: the scenario there, and the swept keys' values."""
+
+    scenario: Choice
+    swept: dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Method:
+    """One formulation with one solver (None where it needs none) and what that solver may spend on each problem."""
+
+    formulation: Choice
+    solver: Choice | None
+    budget: dict[str, Any] | None
+    label: str
+    run_timeout_s: float | None = None
+
+
+@dataclass(frozen=True)
+class RunSpec:
+    """One run as text and numbers: hashable, storable, and the same on every machine.
+
+    run_id identifies what is computed: the canonical options of scenario, formulation, solver and budget, study
+    seed, repetition and plugin versions; not labels, timeouts, worker counts or paths.
+    instance_seed: the same for every method at a scenario point and repetition, so that comparisons are paired.
+    """
+
+    run_id: str
+    study: str
+    point: Point
+    method: Method
+    repetition: int
+    instance_seed: int
+    solver_seed: int
+
+
+@dataclass(frozen=True)
+class Study:
+    """A validated manifest. ``manifest`` is its text as read; ``plugins`` the plugin files it needs."""
+
+    name: str
+    title: str
+    expect: str
+    seed: int
+    repetitions: int
+    points: tuple[Point, ...]
+    methods: tuple[Method, ...]
+    error: str
+    outlier_m: float
+    plugins: tuple[str, ...] = ()
+    manifest: str = field(default="", repr=False)
+    warnings: tuple[str, ...] = ()
+
+    def __len__(self) -> int:
+        return self.repetitions * len(self.points) * len(self.methods)
+
+    @cached_property
+    def swept(self) -> list[str]:
+        """The swept keys, in the manifest's order."""
+        return list(self.points[0].swept)
+
+    def specs(self) -> Iterator[RunSpec]:
+        """Every run, repetitions outermost, so that an unfinished study has compared all methods alike."""
+        points = [(point, digest(point.scenario.identity)) for point in self.points]
+        methods = [(method, _method_digest(method)) for method in self.methods]
+        for repetition in range(self.repetitions):
+            for point, where in points:
+                instance_seed = seed_from("instance", self.seed, where, repetition)
+                for method, how in methods:
+                    parts = (self.seed, where, how, repetition)
+                    yield RunSpec(
+                        run_id=digest([*parts, _versions(point, method)])[:20],
+                        study=self.name,
+                        point=point,
+                        method=method,
+                        repetition=repetition,
+                        instance_seed=instance_seed,
+                        solver_seed=seed_from("solver", *parts),
+                    )
+
+
+def digest(data: Any) -> str:
+    """SHA-256 of plain data in canonical JSON (sorted keys, shortest round-trip floats), in hexadecimal."""
+    text = json.dumps(data, sort_keys=True, separators=(",", ":"))
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def seed_from(*parts: Any) -> int:
+    """A seed of 63 bits that depends on every part and on nothing else."""
+    return int(digest(list(parts))[:16], 16) >> 1
+
+
+def _method_digest(method: Method) -> str:
+    solver = method.solver.identity if method.solver else None
+    return digest([method.formulation.identity, solver, method.budget])
+
+
+def _versions(point: Point, method: Method) -> list[str]:
+    choices = [point.scenario, method.formulation, method.solver]
+    return [choice.version for choice in choices if choice]

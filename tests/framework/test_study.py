@@ -1,0 +1,103 @@
+"""Run identities and seeds depend on what is computed, and on nothing else."""
+
+import json
+import pickle
+from dataclasses import asdict, replace
+
+import pytest
+from conftest import BASIC
+
+from nfbench import load_study
+
+MORE = BASIC + '[[solver]]\nkind = "sampler"\nbatch = 3\n'
+
+
+def ids(path):
+    return [spec.run_id for spec in load_study(path).specs()]
+
+
+def by_id(path):
+    return {spec.run_id: spec for spec in load_study(path).specs()}
+
+
+def test_specs_are_plain_data_and_the_same_every_time(manifest):
+    study = load_study(manifest(MORE))
+    specs = list(study.specs())
+    assert specs == list(study.specs()) == list(load_study(manifest(MORE)).specs())
+    assert len({spec.run_id for spec in specs}) == len(specs) == 6
+    assert pickle.loads(pickle.dumps(specs)) == specs
+    assert json.loads(json.dumps(asdict(specs[0])))["run_id"] == specs[0].run_id
+
+
+def test_an_identity_is_stable_across_versions_of_the_code(manifest):
+    study = load_study(manifest(BASIC, repetitions=1))
+    point, method = study.points[0], study.methods[0]
+    pinned = replace(
+        study,
+        points=(replace(point, scenario=replace(point.scenario, version="1")),),
+        methods=(
+            replace(
+                method,
+                formulation=replace(method.formulation, version="1"),
+                solver=replace(method.solver, version="1"),
+            ),
+        ),
+    )
+    (spec,) = pinned.specs()
+    assert (spec.run_id, spec.instance_seed, spec.solver_seed) == PINNED
+
+
+PINNED = ("c37d7b527a9a8e44a923", 8048162559168601447, 7373534242580518641)
+
+
+def test_instances_are_shared_by_methods_and_solver_seeds_are_not(manifest):
+    specs = list(load_study(manifest(MORE + "[sweep]\ndimension = [2, 3]\n")).specs())
+    where = {(spec.point.swept["dimension"], spec.repetition) for spec in specs}
+    assert len({spec.instance_seed for spec in specs}) == len(where) == 6
+    assert len({spec.solver_seed for spec in specs}) == len(specs) == 12
+    assert all(0 <= spec.solver_seed < 2**63 for spec in specs)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"extra": MORE},
+        {"extra": BASIC, "repetitions": 7},
+        {"extra": BASIC + "[sweep]\nnoise = [0.0, 0.5]\n"},
+    ],
+)
+def test_adding_to_a_study_changes_no_run_of_it(manifest, change):
+    before = by_id(manifest(BASIC))
+    after = by_id(manifest(**change))
+    assert len(after) > len(before)
+    for run_id, spec in before.items():
+        other = after[run_id]
+        assert (other.instance_seed, other.solver_seed) == (spec.instance_seed, spec.solver_seed)
+
+
+@pytest.mark.parametrize(
+    "same",
+    [
+        {"extra": BASIC + "run_timeout_s = 3.0"},
+        {"extra": BASIC.replace('"sampler"', '"sampler"\nbatch = 8')},
+        {"extra": BASIC.replace('"sampler"', '"sampler"\nlabel = "mine"')},
+        {"extra": BASIC, "scenario": "noise = 0"},
+        {"extra": BASIC, "name": "other"},
+    ],
+)
+def test_what_computes_the_same_is_the_same(manifest, same):
+    assert ids(manifest(**same)) == ids(manifest(BASIC))
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        {"extra": BASIC, "seed": 2},
+        {"extra": BASIC.replace("= 40", "= 41")},
+        {"extra": BASIC, "scenario": "noise = 0.5"},
+        {"extra": BASIC.replace('"sampler"', '"sampler"\nbatch = 9')},
+        {"extra": BASIC.replace('"once"', '"once"\nshift = 1.0')},
+    ],
+)
+def test_what_computes_something_else_is_another(manifest, other):
+    assert not set(ids(manifest(**other))) & set(ids(manifest(BASIC)))

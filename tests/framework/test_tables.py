@@ -1,0 +1,79 @@
+"""Summaries against the definitions, computed another way."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from nfbench.report import verdict
+from nfbench.tables import summarize
+
+
+def frame(errors, method="a", solver="s", status="ok", **more):
+    n = len(errors)
+    return pd.DataFrame(
+        {
+            "repetition": range(n),
+            "formulation": "f",
+            "solver": solver,
+            "method": method,
+            "status": status,
+            "rmse_m": errors,
+            "evaluations": 10.0,
+            "runtime_s": 0.5,
+            **more,
+        }
+    )
+
+
+def test_the_columns_are_what_their_names_say():
+    rng = np.random.default_rng(1)
+    errors = rng.rayleigh(size=200)
+    runs = frame(errors, error_1_m=errors, error_2_m=errors / 2, crb_m=0.1)
+    runs.loc[3, ["status", "rmse_m", "error_1_m", "error_2_m"]] = ["failed", np.nan, np.nan, np.nan]
+    (row,) = summarize(runs, outlier_m=1.0).to_dict("records")
+    ok = np.delete(errors, 3)
+    assert (row["runs"], row["failed"]) == (200, 1)
+    assert row["rmse_m"] == pytest.approx(np.linalg.norm(ok) / np.sqrt(199), rel=1e-12)
+    assert row["median_m"] == pytest.approx(np.sort(ok)[99])
+    assert row["q90_m"] == pytest.approx(np.percentile(ok, 90))
+    assert row["outlier_rate"] == pytest.approx(((ok > 1).sum() + (ok > 2).sum()) / 398)
+    assert row["crb_m"] == pytest.approx(0.1)
+    # the interval of a mean of 199 squares, by the central limit theorem
+    spread = 1.96 * np.std(ok**2) / np.sqrt(199)
+    assert row["rmse_m_low"] ** 2 == pytest.approx(np.mean(ok**2) - spread, rel=0.1)
+    assert row["rmse_m_high"] ** 2 == pytest.approx(np.mean(ok**2) + spread, rel=0.1)
+
+
+def test_the_interval_covers_the_truth_about_as_often_as_it_says():
+    rng = np.random.default_rng(7)
+    runs = pd.concat([frame(np.abs(rng.normal(size=60)), method=f"m{i}") for i in range(60)], ignore_index=True)
+    summary = summarize(runs)
+    covered = ((summary.rmse_m_low <= 1) & (summary.rmse_m_high >= 1)).mean()
+    assert 0.8 < covered <= 1
+
+
+def test_a_single_run_has_no_interval_and_none_has_no_error():
+    one, none = summarize(frame([0.3])), summarize(frame([np.nan], status="failed"))
+    assert np.isnan(one.rmse_m_low[0]) and one.rmse_m[0] == pytest.approx(0.3)
+    assert np.isnan(none.rmse_m[0]) and none.failed[0] == 1
+
+
+def test_by_takes_any_columns_and_names_a_wrong_one():
+    runs = pd.concat([frame([1.0, 2.0]), frame([3.0, 4.0], method="b", solver="t")])
+    assert summarize(runs, by=["formulation"]).rmse_m.tolist() == [pytest.approx(np.sqrt(30 / 4))]
+    with pytest.raises(ValueError, match="by: expected columns of runs, got colour"):
+        summarize(runs, by=["colour"])
+
+
+def test_the_verdict_ranks_only_what_the_pairs_can_tell():
+    rng = np.random.default_rng(3)
+    base = rng.rayleigh(size=30)
+    runs = pd.concat(
+        [frame(base, "best"), frame(base * 1.5, "worse"), frame(base * rng.choice([0.9, 1.12], 30), "level")]
+    )
+    text = verdict(runs, "rmse_m")
+    assert text.startswith("best has the smallest error here") and "not told from it: level (" in text
+    few = verdict(runs[runs.repetition < 3], "rmse_m")
+    assert "3 shared repetitions do not rank methods" in few
+    assert "every other method is worse" in verdict(runs[runs.method != "level"], "rmse_m")
+    assert verdict(frame([np.nan], status="failed"), "rmse_m") == "No run ended with an estimate."
