@@ -70,13 +70,11 @@ class MeteredProblem(Problem):
 
     def from_unit(self, U: Float[ndarray, "*p n"]) -> Float[ndarray, "*p n"]:
         """Points of the unit box [0, 1]ⁿ as points of this box, safe against rounding past its edge."""
-        X: ndarray = np.clip(self.lower + U * (self.upper - self.lower), self.lower, self.upper)
-        return X
+        return np.clip(self.lower + U * (self.upper - self.lower), self.lower, self.upper)
 
     def to_unit(self, X: Float[ndarray, "*p n"]) -> Float[ndarray, "*p n"]:
         """Points of this box as points of the unit box [0, 1]ⁿ."""
-        U: ndarray = (X - self.lower) / (self.upper - self.lower)
-        return U
+        return (X - self.lower) / (self.upper - self.lower)
 
     def __call__(self, x: Float[ndarray, " n"]) -> float:
         """The value at one point ``(n,)``."""

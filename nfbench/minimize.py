@@ -25,12 +25,12 @@ __all__ = ["Minimum", "minimize"]
 class Minimum:
     """What a solver found.
 
-    x: (n,) the best point, None if no finite value was met. value: its objective. evaluations: how many were made;
+    x: (n,) the best point, NaN if no finite value was met. value: its objective. evaluations: how many were made;
     gradients: how many of them with the gradient; nonfinite: how many gave NaN or ±inf. runtime_s: wall-clock
     time [s]. status, message: how it ended. trace: every improvement, thinned to under 1,000 rows.
     """
 
-    x: Float[ndarray, " n"] | None
+    x: Float[ndarray, " n"]
     value: float
     evaluations: int
     gradients: int
@@ -53,7 +53,7 @@ def minimize(problem: Problem, solver: Solver, budget: Budget | int, seed: int |
     status, message = _drive(solver, meter, np.random.default_rng(seed))
     runtime_s = time.perf_counter() - start
     return Minimum(
-        x=meter.best_point,
+        x=np.full(meter.dimension, np.nan) if meter.best_point is None else meter.best_point,
         value=meter.best_value,
         evaluations=meter.evaluations,
         gradients=meter.gradients,

@@ -157,10 +157,16 @@ FilePath = Annotated[str, AfterValidator(_resolve)]
 def _adapters(cls: type[Options]) -> dict[str, TypeAdapter[Any]]:
     if cls in _known_adapters:
         return _known_adapters[cls]
-    hints = typing.get_type_hints(cls, include_extras=True)
+    hints = {name: _schema(hint) for name, hint in typing.get_type_hints(cls, include_extras=True).items()}
     strict = ConfigDict(strict=True, arbitrary_types_allowed=True)
     adapters = {f.name: TypeAdapter(hints[f.name], config=strict) for f in dataclasses.fields(cls) if f.init}
     return _known_adapters.setdefault(cls, adapters)
+
+
+def _schema(hint: Any) -> Any:
+    """The type as pydantic is to see it: what OneOf holds it checks itself, whatever the base is."""
+    marks = [mark for mark in getattr(hint, "__metadata__", ()) if isinstance(mark, OneOf)]
+    return Annotated[Any, marks[0]] if marks else hint
 
 
 def _checked(cls: type[Options], name: str, value: Any) -> tuple[Any, list[tuple[str, str]]]:

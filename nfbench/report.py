@@ -120,7 +120,7 @@ def _print_failures(runs: pd.DataFrame, console: Console) -> None:
     """Each status other than ok, how often and for which method, with one message."""
     bad = runs[runs["status"] != Status.OK]
     for (status, method), group in bad.groupby(["status", "method"], sort=False):
-        console.print(f"[red]{status}[/red] × {len(group)}: {escape(method)}: {escape(group['message'].iloc[0])}")
+        console.print(f"[red]{status}[/red] × {len(group)}: {escape(str(method))}: {escape(group['message'].iloc[0])}")
 
 
 def _number(value: float) -> str:

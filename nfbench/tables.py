@@ -17,6 +17,7 @@ from .budget import Status
 __all__ = ["summarize"]
 
 RESAMPLES = 2000
+MIN_RUNS = 6  # fewer are not worth resampling
 CONFIDENCE = 0.95
 
 
@@ -26,7 +27,7 @@ def summarize(
     """One row per group of ``by`` (default: swept keys, formulation, solver, method), in order of appearance.
 
     Over the runs that are ok: ``rmse_m`` the root of the mean square error of a run, with a 95 % bootstrap interval
-    ``rmse_m_low``, ``rmse_m_high`` (percentiles of 2,000 resamples of the runs; NaN for a single run); ``median_m``
+    ``rmse_m_low``, ``rmse_m_high`` (percentiles of 2,000 resamples; NaN for fewer than 6 runs); ``median_m``
     and ``q90_m`` over runs; ``outlier_rate`` the share of sources further off than ``outlier_m``; ``crb_m`` the root
     mean square bound where runs have one; ``evaluations`` and ``runtime_s`` the means. ``failed`` counts the others.
     An ``error`` other than ``rmse_m`` is summed up in the columns ``<error>``, ``_low``, ``_high``, ``median``,
@@ -76,7 +77,7 @@ def _spread(
 
 def _bootstrap(errors: Float[ndarray, " runs"], rng: np.random.Generator) -> tuple[float, float]:
     """The percentile bootstrap interval of the root mean square (Efron & Tibshirani 1993, ch. 13)."""
-    if len(errors) < 2:
+    if len(errors) < MIN_RUNS:
         return np.nan, np.nan
     squares = errors**2
     means = [squares[rng.integers(len(squares), size=len(squares))].mean() for _ in range(RESAMPLES)]

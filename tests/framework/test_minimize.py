@@ -1,5 +1,6 @@
 """minimize() turns whatever a solver does into a Minimum with a status."""
 
+import contextlib
 import math
 from dataclasses import dataclass
 
@@ -36,10 +37,8 @@ class Does(Solver):
                     problem(rng.uniform(problem.lower, problem.upper))
             case "swallow":
                 for _ in range(50):
-                    try:
+                    with contextlib.suppress(Exception):
                         problem(problem.upper + 1)
-                    except Exception:
-                        pass
             case "raise":
                 problem(np.zeros(2))
                 raise RuntimeError("no luck")
@@ -78,7 +77,7 @@ def test_each_ending_has_its_status(what, status, evaluations, message):
 def test_no_finite_value_is_invalid():
     found = minimize(Nowhere(), Does("forever"), 7)
     assert (found.status, found.message) == (Status.INVALID, "none of 7 evaluations gave a finite value")
-    assert found.x is None and found.nonfinite == 7
+    assert np.isnan(found.x).all() and found.nonfinite == 7
 
 
 def test_a_solver_that_needs_a_gradient_is_skipped_without_one():

@@ -99,3 +99,18 @@ def test_a_file_is_found_beside_the_manifest(tmp_path):
             Reader("other.csv")
     with pytest.raises(OptionError, match=r"no such file: data\.csv"):
         Reader("data.csv")
+
+
+def test_one_of_several_may_share_a_base_of_options():
+    @dataclass(frozen=True)
+    class Shape(Options): ...
+
+    @dataclass(frozen=True)
+    class Disc(Shape):
+        kind: ClassVar[str] = "disc"
+
+    @dataclass(frozen=True)
+    class Holder(Options):
+        shape: Annotated[Shape, OneOf(Disc)] = field(default_factory=Disc)
+
+    assert build(Holder, {"shape": {"kind": "disc"}}).shape == Disc()

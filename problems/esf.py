@@ -1,0 +1,92 @@
+"""ESF: how far the signal subspace is from the span of K candidate sources, the objective of NEEF."""
+
+from __future__ import annotations
+
+from typing import final
+
+import numpy as np
+from jaxtyping import Complex, Float
+from numpy import ndarray
+from scipy.linalg import solve_triangular
+
+from nfbench import Problem
+
+from .wavefronts import Manifold
+
+__all__ = ["ESF", "RIDGE"]
+
+RIDGE = 1e-13
+"""The least squared distance, relative to M, of a response from the span of those before it.
+
+Cholesky's pivots are these distances. Where candidates coincide they vanish up to rounding, and are raised to this:
+the twin then adds nothing to the span, and J is that of the others. Where they do not, J is not changed by it."""
+
+
+@final
+class ESF(Problem):
+    """J(x) = ‖(I − P_A)U_s‖²_F = K − tr(BᴴG⁻¹B) with G = AᴴA, B = AᴴU_s; x = [θ_1 … θ_K], n = dK, 0 <= J <= K.
+
+    Subspace fitting with unit weights (Viberg & Ottersten 1991, doi:10.1109/78.80966); the gradient is that of a
+    variable projection (Golub & Pereyra 1973, doi:10.1137/0710036). It is smooth but where candidates coincide.
+
+    U_s: (M, K) orthonormal. lower, upper: (d,) the box of one source [rad, m]. Raises ValueError where shapes differ.
+    """
+
+    has_gradient = True
+
+    def __init__(
+        self,
+        U_s: Complex[ndarray, "m k"],
+        manifold: Manifold,
+        lower: Float[ndarray, " d"],
+        upper: Float[ndarray, " d"],
+    ) -> None:
+        if U_s.ndim != 2 or len(U_s) != manifold.elements:
+            raise ValueError(f"U_s: expected shape ({manifold.elements}, K), got {U_s.shape}")
+        if lower.shape != (manifold.dimension,) or upper.shape != lower.shape:
+            raise ValueError(f"lower, upper: expected shape ({manifold.dimension},), got {lower.shape}, {upper.shape}")
+        self._sources = U_s.shape[1]
+        self.lower, self.upper = np.tile(lower, self._sources), np.tile(upper, self._sources)
+        self._manifold = manifold
+        self._U_s, self._conj_U_s = U_s, np.ascontiguousarray(U_s.conj())
+
+    def evaluate(self, X: Float[ndarray, "p n"]) -> Float[ndarray, " p"]:
+        p, K, M = len(X), self._sources, self._manifold.elements
+        A = self._manifold.response(X.reshape(-1, self._manifold.dimension))  # one response a row
+        B = (A @ self._conj_U_s).conj()
+        _, W = _whiten(A.reshape(p, K, M), B.reshape(p, K, K))
+        J: Float[ndarray, " p"] = K - np.sum(W.real**2 + W.imag**2, axis=(0, 2))
+        np.maximum(J, 0.0, out=J)
+        return J
+
+    def value_and_gradient(self, x: Float[ndarray, " n"]) -> tuple[float, Float[ndarray, " n"]]:
+        A, D = self._manifold.response_and_derivatives(x.reshape(self._sources, -1))
+        L, W = _whiten(A[None], (A.conj() @ self._U_s)[None])
+        value = max(self._sources - float(np.vdot(W, W).real), 0.0)
+        C = solve_triangular(L[:, :, 0], W[:, 0], lower=True, trans="C")  # A⁺U_s = G⁻¹B
+        V = self._U_s - A.T @ C  # (I − P_A)U_s
+        # ∂J = −2 Re tr(Vᴴ·∂A·C), and θ_k moves column k of A alone
+        gradient = -2 * np.einsum("kdm,mk->kd", D, V.conj() @ C.T).real
+        return value, gradient.ravel()
+
+
+def _whiten(A: ndarray, B: ndarray) -> tuple[ndarray, ndarray]:
+    """G = AᴴA = LLᴴ by Cholesky with pivots of at least RIDGE·M, and W = L⁻¹B, for p candidates at once.
+
+    A: (p, K, M), responses as rows. B: (p, K, K). Returns L (K, K, p) and W (K, p, K); tr(BᴴG⁻¹B) = ‖W‖²_F.
+    """
+    p, K, M = A.shape
+    L = np.zeros((K, K, p), dtype=np.complex128)
+    W = np.empty((K, p, B.shape[2]), dtype=np.complex128)
+    for j in range(K):
+        pivot = np.full(p, float(M))  # |a_m| = 1
+        rest = B[:, j].copy()
+        for k in range(j):
+            g = np.vecdot(A[:, j], A[:, k])  # a_jᴴa_k
+            L[j, k] = (g - np.sum(L[j, :k] * L[k, :k].conj(), axis=0)) / L[k, k]
+            pivot -= L[j, k].real ** 2 + L[j, k].imag ** 2
+            rest -= L[j, k][:, None] * W[k]
+        root = np.sqrt(np.maximum(pivot, RIDGE * M))
+        L[j, j] = root
+        W[j] = rest / root[:, None]
+    return L, W

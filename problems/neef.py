@@ -1,0 +1,40 @@
+"""NEEF: all sources at once, fitted to the signal subspace."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar, final
+
+from jaxtyping import Float
+from numpy import ndarray
+
+from nfbench import Formulation, Incompatible, Instance, Minimize
+
+from .esf import ESF
+from .instance import NearFieldInstance
+from .subspace import signal_subspace
+from .wavefronts import Wavefront
+
+__all__ = ["Neef"]
+
+
+@final
+@dataclass(frozen=True)
+class Neef(Formulation):
+    """Near-field eigen-subspace fitting: minimize ESF once, over all sources (Mousavirad et al., Algorithm 2).
+
+    wavefront: what the estimator assumes (default: the scenario's).
+    """
+
+    accepts: ClassVar[type[Instance]] = NearFieldInstance
+
+    wavefront: Wavefront | None = None
+
+    def solve(self, instance: NearFieldInstance, minimize: Minimize) -> Float[ndarray, "k d"]:
+        """The sources (K, d) [rad, m]. Raises Incompatible with fewer snapshots than sources."""
+        K, T = instance.sources, instance.Y.shape[1]
+        if K > T:
+            raise Incompatible(f"snapshots: expected at least {K} for the signal subspace of {K} sources, got {T}")
+        U_s = signal_subspace(instance.Y, K)
+        problem = ESF(U_s, instance.manifold.under(self.wavefront), instance.lower, instance.upper)
+        return minimize(problem).x.reshape(K, -1)

@@ -1,0 +1,28 @@
+"""Received data, made small: the factor that keeps its energy, and the subspace that holds its signals."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Complex
+from numpy import ndarray
+
+__all__ = ["compress", "signal_subspace"]
+
+
+def compress(Y: Complex[ndarray, "m t"]) -> Complex[ndarray, "m c"]:
+    """A factor L of c = min(M, T) columns with L·Lᴴ = Y·Yᴴ, from Yᴴ = QR: L = Rᴴ."""
+    return Y if Y.shape[1] <= Y.shape[0] else np.linalg.qr(Y.conj().T).R.conj().T
+
+
+def signal_subspace(Y: Complex[ndarray, "m t"], sources: int) -> Complex[ndarray, "m k"]:
+    """The eigenvectors U_s of R̂ = Y·Yᴴ/T to its K greatest eigenvalues, as columns, greatest first.
+
+    Computed as left singular vectors of Y, which do not square its condition. The phase of each is fixed: its entry
+    of greatest modulus is real and positive. Raises ValueError where Y, (M, T), has fewer than K singular values.
+    """
+    if not 1 <= sources <= min(Y.shape):
+        raise ValueError(f"sources: expected 1 to min(M, T) = {min(Y.shape)}, got {sources}")
+    U = np.linalg.svd(compress(Y), full_matrices=False)[0][:, :sources]
+    pivots = U[np.argmax(np.abs(U), axis=0), np.arange(sources)]
+    U_s: ndarray = U * (pivots.conj() / np.abs(pivots))
+    return U_s

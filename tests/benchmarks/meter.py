@@ -1,0 +1,88 @@
+"""What the meter costs on top of the problem: ``python tests/benchmarks/meter.py``.
+
+Single points and batches of 100, with and without the meter, in turn, on the same points; the median of the paired
+differences. ESF of the paper's ULA gives the measure of what an evaluation costs.
+"""
+
+from __future__ import annotations
+
+import statistics
+import time
+from collections.abc import Callable
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+from threadpoolctl import threadpool_limits
+
+from nfbench import Budget, MeteredProblem, Problem
+from nfbench.problems.esf import ESF
+from nfbench.problems.scenario import NearField
+from nfbench.problems.subspace import signal_subspace
+
+ROUNDS = 41
+
+
+class Free(Problem):
+    """Costs nothing, so that what is left is the meter."""
+
+    def __init__(self, n: int) -> None:
+        self.lower, self.upper = np.full(n, -1.0), np.full(n, 1.0)
+        self._values = np.ones(100)
+
+    def evaluate(self, X: np.ndarray) -> np.ndarray:
+        return self._values[: len(X)]
+
+    def value(self, x: np.ndarray) -> float:
+        return 1.0
+
+
+def seconds(call: Callable[[], object], number: int) -> float:
+    start = time.perf_counter()
+    for _ in range(number):
+        call()
+    return (time.perf_counter() - start) / number
+
+
+def paired(bare: Callable[[], object], metered: Callable[[], object], number: int) -> tuple[float, float]:
+    """(median cost of the bare call, median extra of the metered one) in µs."""
+    rounds = [(seconds(bare, number), seconds(metered, number)) for _ in range(ROUNDS)]
+    return 1e6 * statistics.median(b for b, _ in rounds), 1e6 * statistics.median(m - b for b, m in rounds)
+
+
+def main() -> None:
+    table = Table("problem", "call", "bare µs", "meter adds µs", "share")
+    rng = np.random.default_rng(0)
+    instance = SCENARIO.draw(rng)
+    esf = ESF(signal_subspace(instance.Y, 3), instance.manifold, instance.lower, instance.upper)
+    for name, problem, number in (
+        ("free, n = 2", Free(2), 2000),
+        ("free, n = 6", Free(6), 2000),
+        ("ESF, n = 6", esf, 200),
+    ):
+        X = rng.uniform(problem.lower, problem.upper, (100, len(problem.lower)))
+        meter = MeteredProblem(problem, Budget(evaluations=10**9))
+        x = X[0]
+        for call, bare, metered, count in (
+            ("one point", lambda p=problem, x=x: p.value(x), lambda m=meter, x=x: m(x), number),
+            ("batch of 100", lambda p=problem, X=X: p.evaluate(X), lambda m=meter, X=X: m.evaluate(X), number // 20),
+        ):
+            cost, extra = paired(bare, metered, count)
+            table.add_row(name, call, f"{cost:.2f}", f"{extra:.2f}", f"{extra / (cost + extra):.1%}")
+    Console().print(table)
+
+
+SCENARIO = NearField(
+    array={"kind": "ula", "elements": 128, "spacing_wavelengths": 0.25, "origin": "first"},
+    wavelength_m=0.02,
+    wavefront="paper",
+    sources=3,
+    snapshots=200,
+    snr_db=20.0,
+    azimuth_deg=(-60, 60),
+    range_m=(1.27, 20.16),
+)
+
+if __name__ == "__main__":
+    with threadpool_limits(1):
+        main()

@@ -1,0 +1,175 @@
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from scipy import optimize
+
+from nfbench import Budget, Incompatible, MeteredProblem, Minimum, OptionError, Problem, Solver, SolverInfo, minimize
+from nfbench.options import build
+from nfbench.problems.esf import ESF
+from nfbench.problems.neef import Neef
+from nfbench.problems.nemo import Nemo
+from nfbench.problems.rls import RLS
+from nfbench.problems.scenario import NearField
+
+MANIFEST = {
+    "array": {"kind": "ula", "elements": 64, "spacing_wavelengths": 0.25, "origin": "center"},
+    "wavelength_m": 0.02,
+    "sources": 2,
+    "snapshots": 40,
+    "snr_db": 30.0,
+    "azimuth_deg": [-60, 60],
+    "range_m": [0.5, 4.0],
+    "positions": [[-35, 1.0], [30, 1.5]],
+}
+
+
+def scene(**changes):
+    return build(NearField, MANIFEST | changes).draw(np.random.default_rng(0))
+
+
+@dataclass(frozen=True)
+class RandomThenNewton(Solver):
+    """The best of random points, each improved by SciPy's L-BFGS-B in the unit box."""
+
+    info = SolverInfo(needs_gradient=True, batched=True)
+
+    def minimize(self, problem: MeteredProblem, rng: np.random.Generator) -> None:
+        X = rng.uniform(problem.lower, problem.upper, (4000, problem.dimension))
+        width = problem.upper - problem.lower
+
+        def scaled(u: np.ndarray) -> tuple[float, np.ndarray]:
+            value, gradient = problem.value_and_gradient(problem.from_unit(u))
+            return value, width * gradient
+
+        for x in X[np.argsort(problem.evaluate(X))[:20]]:
+            bounds = [(0.0, 1.0)] * problem.dimension
+            optimize.minimize(scaled, problem.to_unit(x), jac=True, method="L-BFGS-B", bounds=bounds)
+
+
+def solved(problems: list[Problem] | None = None):
+    """A ``minimize`` as the engine gives it to a formulation, which notes the problems it is given."""
+
+    def run(problem: Problem) -> Minimum:
+        if problems is not None:
+            problems.append(problem)
+        return minimize(problem, RandomThenNewton(), Budget(evaluations=6000), seed=1)
+
+    return run
+
+
+def answering(answers: list[np.ndarray], problems: list[Problem]):
+    """A ``minimize`` that answers with given points, to look at the problems a formulation makes."""
+
+    def run(problem: Problem) -> Minimum:
+        problems.append(problem)
+        found = minimize(problem, RandomThenNewton(), 1, seed=0)
+        return Minimum(**{**vars(found), "x": answers[len(problems) - 1]})
+
+    return run
+
+
+def test_nemo_finds_the_sources():
+    instance, problems = scene(), []
+    estimate = Nemo().solve(instance, solved(problems))
+    assert estimate.shape == (2, 2)
+    assert instance.score(estimate)["rmse_m"] < 0.05
+    assert [type(problem) for problem in problems] == [RLS, RLS]
+
+
+def test_neef_finds_the_sources():
+    instance, problems = scene(), []
+    estimate = Neef().solve(instance, solved(problems))
+    assert estimate.shape == (2, 2)
+    assert instance.score(estimate)["rmse_m"] < 0.05
+    (problem,) = problems
+    assert isinstance(problem, ESF)
+    assert_array_equal(problem.lower, np.tile(instance.lower, 2))
+    assert_array_equal(problem.upper, np.tile(instance.upper, 2))
+
+
+def test_formulations_work_in_three_dimensions():
+    array = {"kind": "upa", "columns": 6, "rows": 6, "spacing_wavelengths": 0.5, "origin": "center"}
+    instance = scene(
+        array=array, elevation_deg=[-30, 30], range_m=[0.2, 0.6], positions=[[-35, 10, 0.3], [30, -20, 0.4]]
+    )
+    cases = [(Nemo(), list(instance.theta), [3, 3]), (Neef(), [instance.theta.ravel()], [6])]
+    for formulation, answers, dimensions in cases:
+        problems: list[Problem] = []
+        estimate = formulation.solve(instance, answering(answers, problems))
+        assert_array_equal(estimate, instance.theta)
+        assert [problem.dimension for problem in problems] == dimensions
+
+
+def test_nemo_deflates_by_what_it_found():
+    """Algorithm 1: each search sees the residual of the ones before."""
+    instance, problems = scene(), []
+    answers = [instance.theta[0], instance.theta[1]]
+    assert_array_equal(Nemo(alpha=0.0).solve(instance, answering(answers, problems)), answers)
+    X = np.random.default_rng(0).uniform(instance.lower, instance.upper, (20, 2))
+    a = instance.manifold.response(answers[0])
+    residual = instance.Y - np.outer(a, a.conj() @ instance.Y) / 64
+    for problem, Y in zip(problems, (instance.Y, residual), strict=True):
+        assert_allclose(
+            problem.evaluate(X), RLS(Y, instance.manifold, instance.lower, instance.upper).evaluate(X), rtol=1e-9
+        )
+    assert problems[1].value(answers[0]) == pytest.approx(np.linalg.norm(residual) ** 2, rel=1e-9)
+
+
+def penalty_at_first_source(**options) -> float:
+    """By how much repulsion lifts the second search where the first source was found."""
+    instance, with_it, without = scene(), [], []
+    answers = [instance.theta[0], instance.theta[1]]
+    Nemo(**options).solve(instance, answering(answers, with_it))
+    Nemo(alpha=0.0).solve(instance, answering(answers, without))
+    assert with_it[0].value(answers[0]) == without[0].value(answers[0])  # nothing to repel yet
+    return with_it[1].value(answers[0]) - without[1].value(answers[0])
+
+
+def test_nemo_repels_from_what_it_found():
+    assert penalty_at_first_source() == pytest.approx(1000 * 0.08, rel=1e-6)  # the paper's values
+    assert penalty_at_first_source(alpha=50.0, delta_min=0.2) == pytest.approx(50 * 0.2, rel=1e-6)
+
+
+def test_alpha_relative_takes_the_place_of_alpha():
+    instance = scene()
+    a = instance.manifold.response(instance.theta[0])
+    residual = np.linalg.norm(instance.Y - np.outer(a, a.conj() @ instance.Y) / 64) ** 2
+    expected = 3.0 * residual / 64 * 0.08
+    assert penalty_at_first_source(alpha_relative=3.0) == pytest.approx(expected, rel=1e-6)
+
+
+@pytest.mark.parametrize("formulation", [Nemo, Neef])
+def test_an_estimator_may_assume_another_wavefront(formulation):
+    instance = scene(snr_db=40.0)
+    X = np.random.default_rng(0).uniform(instance.lower, instance.upper, (4, 2))
+
+    def values(wavefront):
+        problems: list[Problem] = []
+        answers = [instance.theta[0], instance.theta[1]] if formulation is Nemo else [instance.theta.ravel()]
+        formulation(wavefront=wavefront).solve(instance, answering(answers, problems))
+        return problems[-1].evaluate(X if formulation is Nemo else X.reshape(2, 4))
+
+    assert_array_equal(values(None), values("exact"))
+    assert np.abs(values("planar") - values("exact")).max() > 1e-3
+
+
+def test_neef_needs_as_many_snapshots_as_sources():
+    with pytest.raises(Incompatible, match=r"snapshots: expected at least 2 .* got 1"):
+        Neef().solve(scene(snapshots=1), solved())
+
+
+def test_nemo_works_with_one_snapshot():
+    assert Nemo().solve(scene(snapshots=1), solved()).shape == (2, 2)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [{"alpha": -1.0}, {"alpha": math.inf}, {"alpha_relative": -1.0}, {"delta_min": -0.1}, {"wavefront": "round"}],
+)
+def test_impossible_options_are_refused(options):
+    (name,) = options
+    with pytest.raises(OptionError, match=name):
+        Nemo(**options)
