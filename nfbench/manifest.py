@@ -110,8 +110,8 @@ def _study(table: Table, text: str, folder: Path, extra: tuple[str | Path, ...],
     registry = _registry([*(folder / file for file in manifest.plugins), *extra], problems)
     chooser = Chooser(registry, problems)
     points, scenario = _points(manifest, chooser, problems)
-    limits = cast(Limits, _table(Limits, manifest.budget, "budget", problems))
-    methods = _methods(manifest, limits, chooser, scenario, problems)
+    _table(Limits, manifest.budget, "budget", problems)
+    methods = _methods(manifest, chooser, scenario, problems)
     summary = cast(Summary, _table(Summary, manifest.summary, "summary", problems))
     if problems.texts or scenario is None:
         return None
@@ -243,11 +243,13 @@ def _at(options: Table, path: str, given: Any) -> Any:
 # --- methods -----------------------------------------------------------------------------------------------------
 
 
-def _methods(
-    manifest: Manifest, limits: Limits, chooser: Chooser, scenario: Scenario | None, problems: Problems
-) -> list[Method]:
+def _methods(manifest: Manifest, chooser: Chooser, scenario: Scenario | None, problems: Problems) -> list[Method]:
     formulations = [
-        (f"formulation[{i}]", chooser.choose("formulation", table, f"formulation[{i}]"))
+        (f"formulation[{i}]", chooser.choose("formulation", _without(table, "budget"), f"formulation[{i}]"))
+        for i, table in enumerate(manifest.formulation)
+    ]
+    own_limits = [
+        _limits(manifest, table.get("budget", {}), f"formulation[{i}].budget", problems)
         for i, table in enumerate(manifest.formulation)
     ]
     solvers = [
@@ -256,7 +258,7 @@ def _methods(
     _no_twins(formulations, problems)
     _no_twins(solvers, problems)
     pairs: list[_Pair] = []
-    for path, formulation in formulations:
+    for (path, formulation), limits in zip(formulations, own_limits, strict=True):
         if formulation is None:
             continue
         if _needs_solver(formulation):
@@ -293,7 +295,8 @@ class _Pair:
         if scenario and made and not issubclass(scenario.instance, made.accepts):
             text = f"{self.formulation[0].kind} solves {made.accepts.__name__}, but the scenario draws "
             problems.add(f"{self.path}.kind", f"{text}{scenario.instance.__name__}")
-        if self.solver and self.limits.budget() is None:
+        told = any("budget" in text.partition(":")[0] for text in problems.texts)
+        if self.solver and self.limits.budget() is None and not told:
             problems.add("budget", "is required: give evaluations or seconds")
 
 
@@ -304,7 +307,7 @@ def _own_pair(path: str, table: Table, manifest: Manifest, chooser: Chooser, pro
     except OptionError as error:
         problems.of(path, error)
         return None
-    limits = cast(Limits, _table(Limits, {**manifest.budget, **method.budget}, f"{path}.budget", problems))
+    limits = _limits(manifest, method.budget, f"{path}.budget", problems)
     formulation = chooser.choose("formulation", _named(method.formulation), f"{path}.formulation")
     solver = method.solver and chooser.choose("solver", _named(method.solver), f"{path}.solver")
     if formulation is None or (method.solver and solver is None):
@@ -313,6 +316,18 @@ def _own_pair(path: str, table: Table, manifest: Manifest, chooser: Chooser, pro
         needs = "needs a solver, got none" if not solver else "needs no solver, got one"
         problems.add(f"{path}.solver", f"{formulation[0].kind} {needs}")
     return _Pair(path, formulation, solver or None, limits, method.label)
+
+
+def _limits(manifest: Manifest, own: Any, path: str, problems: Problems) -> Limits:
+    """``[budget]``, with what a ``[[formulation]]`` or ``[[method]]`` sets for itself."""
+    if not isinstance(own, dict):
+        problems.add(path, f"expected a table, got {own!r}")
+        own = {}
+    return cast(Limits, _table(Limits, {**manifest.budget, **own}, path if own else "budget", problems))
+
+
+def _without(table: Table, key: str) -> Table:
+    return {name: value for name, value in table.items() if name != key}
 
 
 def _named(entry: str | Table) -> Table:

@@ -21,6 +21,7 @@ __all__ = ["print_report", "verdict"]
 
 MIN_PAIRS = 6  # with fewer pairs no two-sided test at 5 % can tell two methods apart: 2·(1/2)⁶ = 0.03
 RESAMPLES = 4000
+LEVEL = 0.02  # of the best mean square error: a difference below this is none
 WIDE = 100  # columns of a terminal that takes the whole table
 
 
@@ -45,7 +46,7 @@ def verdict(runs: pd.DataFrame, error: str) -> str:
     """Which method has the smallest error over these runs, and which of the others it cannot be told from.
 
     Methods are compared on the instances they share: another method counts as worse where the 95 % bootstrap interval
-    of its paired excess in squared error lies above zero.
+    of its paired excess in squared error lies above 2 % of the best mean square, which is 1 % of the RMSE.
     """
     ok = runs[runs["status"] == Status.OK]
     if ok.empty or error not in ok.columns:
@@ -63,18 +64,20 @@ def verdict(runs: pd.DataFrame, error: str) -> str:
             f"{found}), but {pairs} shared {'repetition does' if pairs == 1 else 'repetitions do'} not rank methods: "
             f"set repetitions to {MIN_PAIRS} or more, better 100."
         )
-    level = [method for method in others if not _worse((squares[method] - squares[best]).dropna().to_numpy())]
+    level = [method for method in others if not _worse(squares[method], squares[best])]
+    test = "(95\u00a0% paired bootstrap)"
     if not level:
-        return f"{found}, {pairs} repetitions), and every other method is worse (95 % paired bootstrap)."
-    return f"{found}, {pairs} repetitions); not told from it: {', '.join(level)} (95 % paired bootstrap)."
+        return f"{found}, {pairs} repetitions), and every other method is worse by more than 1\u00a0% {test}."
+    return f"{found}, {pairs} repetitions); not told from it: {', '.join(level)} {test}."
 
 
-def _worse(excess: np.ndarray) -> bool:
+def _worse(squares: pd.Series[float], best: pd.Series[float]) -> bool:
+    excess = (squares - best).dropna().to_numpy()
     if len(excess) < MIN_PAIRS:
         return False
     rng = np.random.default_rng(0)
     means = [excess[rng.integers(len(excess), size=len(excess))].mean() for _ in range(RESAMPLES)]
-    return bool(np.quantile(means, 0.025) > 0)
+    return bool(np.quantile(means, 0.025) > LEVEL * best.mean())
 
 
 def _by_point(summary: pd.DataFrame, runs: pd.DataFrame) -> Iterator[tuple[str, pd.DataFrame, pd.DataFrame]]:

@@ -18,6 +18,7 @@ import importlib
 import importlib.util
 import inspect
 import io
+import os
 import pickle
 import random
 import re
@@ -302,7 +303,7 @@ def _errors_pass(subject: _Subject) -> None:
         _need(
             not probe.stops or minimum.status is Status.FAILED,
             f"a problem that raises at evaluation {at} to end the run as failed",
-            f"{minimum.status}, after raising {probe.stops} times",
+            f"status {minimum.status}",
             "Let the problem's exceptions pass.",
         )
 
@@ -372,7 +373,7 @@ def _global_random_untouched(subject: _Subject) -> None:
     after = _global_random()
     for name, was, now in zip(("random", "np.random"), before, after, strict=True):
         _need(
-            str(was) == str(now),
+            pickle.dumps(was) == pickle.dumps(now),
             f"the global state of {name} to be left alone",
             "another state after the run",
             "Draw from the generator handed to minimize; seed a library's own generator with int(rng.integers(2**31)).",
@@ -538,7 +539,8 @@ def _replay_elsewhere(subject: _Subject) -> Replay:
     with tempfile.TemporaryDirectory() as folder:
         (Path(folder) / "job").write_bytes(pickle.dumps(job))
         command = [sys.executable, "-c", _CHILD, folder]
-        done = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
+        env = {**os.environ, "PYTHONHASHSEED": "2" if os.environ.get("PYTHONHASHSEED") == "1" else "1"}
+        done = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False, env=env)
         answer = Path(folder) / "answer"
         _need(
             answer.is_file(),
@@ -574,7 +576,7 @@ def _load(module: str, name: str, file: str) -> type[Solver]:
         sys.modules[spec.name] = sys.modules[module] = loaded
         spec.loader.exec_module(loaded)
         found = functools.reduce(getattr, name.split("."), loaded)
-    return found  # type: ignore[no-any-return]
+    return found
 
 
 def _global_random() -> tuple[Any, Any]:

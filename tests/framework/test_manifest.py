@@ -240,3 +240,16 @@ def test_a_plugin_that_fails_to_import_is_a_warning_and_its_solver_a_choice_that
     assert "bad.py is left out: SyntaxError" in study.warnings[0]
     assert [m.solver.broken is None for m in study.methods] == [True, False]
     assert "SyntaxError" in study.methods[1].solver.broken
+
+
+def test_a_formulation_may_have_its_own_budget(manifest):
+    text = BASIC + '[[formulation]]\nkind = "twice"\nbudget = { evaluations = 7, seconds = 2.0 }\n'
+    study = load_study(manifest(text))
+    assert [method.budget["evaluations"] for method in study.methods] == [40, 7]
+    assert study.methods[1].budget["seconds"] == 2.0
+    assert problems(manifest(text.replace("= 7,", "= 0,"))) == [
+        "formulation[1].budget.evaluations: expected greater than or equal to 1, got 0"
+    ]
+    assert problems(manifest(text.replace("{ evaluations = 7, seconds = 2.0 }", "7"))) == [
+        "formulation[1].budget: expected a table, got 7"
+    ]

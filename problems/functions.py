@@ -1,0 +1,219 @@
+"""Test functions whose minimum is known: to check solvers, and to see what they are worth beyond localization."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Annotated, ClassVar, Literal, TypeAlias, final
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from nfbench import Formulation, Ge, Instance, Minimize, Problem, Scenario
+
+__all__ = ["Direct", "FunctionInstance", "FunctionProblem", "Functions", "Shape"]
+
+Batch: TypeAlias = Float[ndarray, "p n"]
+Values: TypeAlias = Float[ndarray, " p"]
+Point: TypeAlias = Float[ndarray, " n"]
+
+MARGIN = 0.1  # a shifted minimum keeps this fraction of the box's width from its faces
+
+
+def sphere(z: Batch) -> Values:
+    """Σ z_j²."""
+    return np.asarray((z * z).sum(axis=1))
+
+
+def sphere_gradient(z: Point) -> Point:
+    return 2.0 * z
+
+
+def rosenbrock(z: Batch) -> Values:
+    """Σ 100·(z_{j+1} - z_j²)² + (1 - z_j)², minimum at 1."""
+    head, tail = z[:, :-1], z[:, 1:]
+    return np.asarray((100.0 * (tail - head**2) ** 2 + (1.0 - head) ** 2).sum(axis=1))
+
+
+def rosenbrock_gradient(z: Point) -> Point:
+    head, bend = z[:-1], z[1:] - z[:-1] ** 2
+    gradient = np.zeros_like(z)
+    gradient[:-1] = -400.0 * head * bend - 2.0 * (1.0 - head)
+    gradient[1:] += 200.0 * bend
+    return gradient
+
+
+def rastrigin(z: Batch) -> Values:
+    """Σ z_j² + 10·(1 - cos 2πz_j), written with 1 - cos = 2·sin², which keeps small values exact."""
+    return np.asarray((z * z + 20.0 * np.sin(math.pi * z) ** 2).sum(axis=1))
+
+
+def rastrigin_gradient(z: Point) -> Point:
+    return 2.0 * z + 20.0 * math.pi * np.sin(2.0 * math.pi * z)
+
+
+def ackley(z: Batch) -> Values:
+    """20·(1 - exp(-0.2·√mean z²)) + e - exp(mean cos 2πz), written for exact small values."""
+    radius = np.sqrt((z * z).mean(axis=1))
+    waves = 2.0 * (np.sin(math.pi * z) ** 2).mean(axis=1)  # 1 - mean cos
+    return np.asarray(-20.0 * np.expm1(-0.2 * radius) - math.e * np.expm1(-waves))
+
+
+def ackley_gradient(z: Point) -> Point:
+    """At the minimum, which is a cusp, 0."""
+    radius = math.sqrt((z * z).mean())
+    waves = 2.0 * math.pi * math.exp(np.cos(2.0 * math.pi * z).mean()) * np.sin(2.0 * math.pi * z)
+    return np.asarray(((4.0 * math.exp(-0.2 * radius) / radius) * z + waves) / len(z)) if radius else np.zeros_like(z)
+
+
+def griewank(z: Batch) -> Values:
+    """1 + Σ z_j²/4000 - Π cos(z_j/√j)."""
+    root = np.sqrt(np.arange(1.0, z.shape[1] + 1.0))
+    return np.asarray(1.0 + (z * z).sum(axis=1) / 4000.0 - np.cos(z / root).prod(axis=1))
+
+
+def griewank_gradient(z: Point) -> Point:
+    root = np.sqrt(np.arange(1.0, len(z) + 1.0))
+    others = np.tile(np.cos(z / root), (len(z), 1))  # row j: the cosines that z_j multiplies
+    np.fill_diagonal(others, 1.0)
+    return np.asarray(z / 2000.0 + others.prod(axis=1) * np.sin(z / root) / root)
+
+
+SCHWEFEL_PLACE = 420.968746359982  # where sin √z + ½√z·cos √z = 0 in the deepest valley
+SCHWEFEL_DEPTH = SCHWEFEL_PLACE * math.sin(math.sqrt(SCHWEFEL_PLACE))
+
+
+def schwefel(z: Batch) -> Values:
+    """Σ 418.98… - z_j·sin √|z_j|, minimum at 420.97; beyond ±500 the edge's value plus (|z_j| - 500)²/100."""
+    inner = np.clip(z, -500.0, 500.0)
+    waves = inner * np.sin(np.sqrt(np.abs(inner)))
+    return np.asarray((SCHWEFEL_DEPTH - waves + 0.01 * (z - inner) ** 2).sum(axis=1))
+
+
+def schwefel_gradient(z: Point) -> Point:
+    root = np.sqrt(np.abs(z))
+    beyond = z - np.clip(z, -500.0, 500.0)
+    return np.asarray(np.where(beyond == 0.0, -np.sin(root) - 0.5 * root * np.cos(root), 0.02 * beyond))
+
+
+@dataclass(frozen=True)
+class Shape:
+    """A function, its gradient, its usual box [low, high]ⁿ, and the coordinate z_j* of its minimum."""
+
+    value: Callable[[Batch], Values]
+    gradient: Callable[[Point], Point]
+    low: float
+    high: float
+    place: float
+
+
+SHAPES = {
+    "sphere": Shape(sphere, sphere_gradient, -5.12, 5.12, 0.0),
+    "rosenbrock": Shape(rosenbrock, rosenbrock_gradient, -5.0, 10.0, 1.0),
+    "rastrigin": Shape(rastrigin, rastrigin_gradient, -5.12, 5.12, 0.0),
+    "ackley": Shape(ackley, ackley_gradient, -32.768, 32.768, 0.0),
+    "griewank": Shape(griewank, griewank_gradient, -600.0, 600.0, 0.0),
+    "schwefel": Shape(schwefel, schwefel_gradient, -500.0, 500.0, SCHWEFEL_PLACE),
+}
+
+
+@final
+class FunctionProblem(Problem):
+    """f(R·(x - x*) + z*): a function with its minimum moved from z* to x*, and turned about it by R.
+
+    optimum: x* (n,), where the value is 0 up to rounding. rotation: R (n, n), orthogonal, or None for the identity.
+    """
+
+    has_gradient: ClassVar[bool] = True
+
+    def __init__(self, shape: Shape, optimum: Point, rotation: Float[ndarray, "n n"] | None = None) -> None:
+        self.shape, self.optimum, self.rotation = shape, optimum, rotation
+        self.lower, self.upper = np.full(len(optimum), shape.low), np.full(len(optimum), shape.high)
+
+    def evaluate(self, X: Batch) -> Values:
+        return self.shape.value(self._original(X))
+
+    def value_and_gradient(self, x: Point) -> tuple[float, Point]:
+        z = self._original(x[None, :])
+        gradient = self.shape.gradient(z[0])
+        return float(self.shape.value(z)[0]), gradient if self.rotation is None else gradient @ self.rotation
+
+    def _original(self, X: Batch) -> Batch:
+        """z, where the function has its minimum at its classical place."""
+        moved = X - self.optimum
+        turned = moved if self.rotation is None else moved @ self.rotation.T
+        return np.asarray(turned + self.shape.place)
+
+
+@final
+class FunctionInstance(Instance):
+    """A test function; an estimate is a point of its box."""
+
+    def __init__(self, problem: FunctionProblem) -> None:
+        self.problem = problem
+
+    def score(self, estimate: Point) -> dict[str, float]:
+        """gap: f(x) - f*, rounding below 0 cut off. distance: ‖x - x*‖ as a fraction of the box's diagonal."""
+        estimate = np.asarray(estimate, dtype=np.float64)
+        problem = self.problem
+        if estimate.shape != problem.lower.shape:
+            raise ValueError(f"estimate: expected shape {problem.lower.shape}, got {estimate.shape}")
+        distance = np.linalg.norm(estimate - problem.optimum) / np.linalg.norm(problem.upper - problem.lower)
+        return {"gap": max(problem.value(estimate), 0.0), "distance": float(distance)}
+
+
+@dataclass(frozen=True)
+class Functions(Scenario):
+    """Classical test functions in their usual boxes, with minimum value 0 at a known point inside the box.
+
+    function: sphere and rastrigin in [-5.12, 5.12]ⁿ, rosenbrock in [-5, 10]ⁿ, ackley in [-32.768, 32.768]ⁿ, griewank in
+        [-600, 600]ⁿ, schwefel in [-500, 500]ⁿ. rosenbrock needs n >= 2.
+    dimension: n.
+    shifted: the minimum is uniform in the inner 80 % of the box along each axis; false: at its classical place.
+    rotated: the function is turned about its minimum by a random orthogonal matrix.
+
+    The box stays where it is; what the function is beyond its usual domain therefore matters. All but schwefel are
+    nonnegative everywhere. Beyond ±500, schwefel continues at its value on the edge plus (|z| - 500)²/100, so that it
+    too is nonnegative and 0 at its minimum only.
+    """
+
+    function: Literal["sphere", "rosenbrock", "rastrigin", "ackley", "griewank", "schwefel"] = "rastrigin"
+    dimension: Annotated[int, Ge(1)] = 2
+    shifted: bool = True
+    rotated: bool = False
+
+    instance: ClassVar[type[Instance]] = FunctionInstance
+    error: ClassVar[str] = "gap"
+
+    def validate(self) -> None:
+        if self.function == "rosenbrock" and self.dimension < 2:
+            raise ValueError(f"dimension: expected at least 2 for rosenbrock, got {self.dimension}")
+
+    def draw(self, rng: np.random.Generator) -> FunctionInstance:
+        """Draw shift and rotation, always both, so that switching one off leaves the other as it was."""
+        shape, n = SHAPES[self.function], self.dimension
+        shift = shape.low + (MARGIN + (1.0 - 2.0 * MARGIN) * rng.random(n)) * (shape.high - shape.low)
+        rotation = _orthogonal(n, rng)
+        optimum = shift if self.shifted else np.full(n, shape.place)
+        return FunctionInstance(FunctionProblem(shape, optimum, rotation if self.rotated else None))
+
+
+@dataclass(frozen=True)
+class Direct(Formulation):
+    """The instance's problem, minimized once; its minimizer is the estimate."""
+
+    accepts: ClassVar[type[Instance]] = FunctionInstance
+
+    def solve(self, instance: FunctionInstance, minimize: Minimize) -> Point:
+        x = minimize(instance.problem).x
+        if x is None:
+            raise ValueError("minimize: expected a minimum with a point, got none")
+        return x
+
+
+def _orthogonal(n: int, rng: np.random.Generator) -> Float[ndarray, "n n"]:
+    """A random orthogonal matrix, uniform in the sense of Haar (Mezzadri 2007)."""
+    q, r = np.linalg.qr(rng.standard_normal((n, n)))
+    return np.asarray(q * np.where(np.diag(r) < 0.0, -1.0, 1.0))

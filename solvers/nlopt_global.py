@@ -1,0 +1,184 @@
+"""Global, derivative-free algorithms of NLopt."""
+
+from __future__ import annotations
+
+import contextlib
+from dataclasses import dataclass
+from typing import Annotated, Any, ClassVar, Literal
+
+import nlopt
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from nfbench import Ge, Gt, Incompatible, MeteredProblem, Solver, SolverInfo
+
+from .finite import Finite
+
+__all__ = ["AGS", "CRS2LM", "ESCH", "ISRES", "MLSL", "Direct", "DirectL", "DirectLRand"]
+
+AGS_DIMENSIONS = 10  # compiled into NLopt
+
+
+def run(
+    algorithm: int,
+    problem: MeteredProblem,
+    rng: np.random.Generator,
+    population: int | None = None,
+    local: Any = None,
+) -> None:
+    """Run an NLopt algorithm in the unit box until the budget or the algorithm ends.
+
+    It starts at a uniform random point, where it starts at one. NLopt has one generator for the whole process, which is
+    seeded from ``rng`` first. +inf, at which DIRECT gives up and AGS crashes, is replaced by the worst finite value.
+    """
+    n = problem.dimension
+    finite = Finite(start=1e100)
+
+    def objective(u: Float[ndarray, " n"], gradient: Float[ndarray, " m"]) -> float:
+        return finite.one(problem(problem.from_unit(u)))
+
+    optimizer = nlopt.opt(algorithm, n)
+    optimizer.set_lower_bounds(0.0)
+    optimizer.set_upper_bounds(1.0)
+    optimizer.set_min_objective(objective)
+    if population is not None:
+        optimizer.set_population(population)
+    if local is not None:
+        optimizer.set_local_optimizer(local)
+    nlopt.srand(int(rng.integers(1, 2**31 - 1)))
+    with contextlib.suppress(nlopt.RoundoffLimited):  # it can tell the values apart no further: an end
+        optimizer.optimize(rng.random(n))
+
+
+@dataclass(frozen=True)
+class Direct(Solver):
+    """DIRECT: dividing rectangles."""
+
+    info: ClassVar[SolverInfo] = SolverInfo(
+        stochastic=False, reference="Jones, Perttunen & Stuckman 1993, doi:10.1007/BF00941892"
+    )
+
+    def minimize(self, problem: MeteredProblem, rng: np.random.Generator) -> None:
+        run(nlopt.GN_DIRECT, problem, rng)
+
+
+@dataclass(frozen=True)
+class DirectL(Solver):
+    """DIRECT-L: locally biased DIRECT."""
+
+    info: ClassVar[SolverInfo] = SolverInfo(
+        stochastic=False, reference="Gablonsky & Kelley 2001, doi:10.1023/A:1017930332101"
+    )
+
+    def minimize(self, problem: MeteredProblem, rng: np.random.Generator) -> None:
+        run(nlopt.GN_DIRECT_L, problem, rng)
+
+
+@dataclass(frozen=True)
+class DirectLRand(Solver):
+    """DIRECT-L that chooses at random which of several longest sides to divide."""
+
+    info: ClassVar[SolverInfo] = SolverInfo(
+        reference="Gablonsky & Kelley 2001, doi:10.1023/A:1017930332101; Johnson (NLopt)"
+    )
+
+    def minimize(self, problem: MeteredProblem, rng: np.random.Generator) -> None:
+        run(nlopt.GN_DIRECT_L_RAND, problem, rng)
+
+
+@dataclass(frozen=True)
+class CRS2LM(Solver):
+    """Controlled random search with local mutation.
+
+    population: points kept; at least n + 1; None: NLopt's 10·(n + 1).
+    """
+
+    population: Annotated[int, Ge(2)] | None = None
+
+    info: ClassVar[SolverInfo] = SolverInfo(reference="Kaelo & Ali 2006, doi:10.1007/s10957-006-9101-0")
+
+    def minimize(self, problem: MeteredProblem, rng: np.random.Generator) -> None:
+        least = problem.dimension + 1
+        if self.population is not None and self.population < least:
+            raise Incompatible(
+                f"population: expected at least {least} for {problem.dimension} unknowns, got {self.population}"
+            )
+        run(nlopt.GN_CRS2_LM, problem, rng, self.population)
+
+
+@dataclass(frozen=True)
+class ISRES(Solver):
+    """Improved stochastic ranking evolution strategy.
+
+    population: offspring of a generation; None: NLopt's 20·(n + 1).
+    """
+
+    population: Annotated[int, Ge(1)] | None = None
+
+    info: ClassVar[SolverInfo] = SolverInfo(reference="Runarsson & Yao 2005, doi:10.1109/TSMCC.2004.841906")
+
+    def minimize(self, problem: MeteredProblem, rng: np.random.Generator) -> None:
+        run(nlopt.GN_ISRES, problem, rng, self.population)
+
+
+@dataclass(frozen=True)
+class ESCH(Solver):
+    """Evolution strategy with Cauchy mutation.
+
+    population: parents; a generation has as many offspring again by half; None: NLopt's 40.
+    """
+
+    population: Annotated[int, Ge(1)] | None = None
+
+    info: ClassVar[SolverInfo] = SolverInfo(
+        converges=False,
+        reference="da Silva Santos, Gonçalves & Hernández-Figueroa 2010, IEEE Photonics Tech. Letters 22(15)",
+    )
+
+    def minimize(self, problem: MeteredProblem, rng: np.random.Generator) -> None:
+        run(nlopt.GN_ESCH, problem, rng, self.population)
+
+
+@dataclass(frozen=True)
+class MLSL(Solver):
+    """Multi-level single linkage from low-discrepancy points: local searches, one for each basin.
+
+    local: the local search; all are derivative-free (COBYLA is left out: on plateaus it asks for NaN).
+    population: points sampled in each round; None: NLopt's 4.
+    xtol: a local search ends when its steps fall below this fraction of the box.
+    ftol: a local search ends when its steps change the value relatively by less.
+    """
+
+    local: Literal["sbplx", "nelder-mead", "bobyqa"] = "sbplx"
+    population: Annotated[int, Ge(1)] | None = None
+    xtol: Annotated[float, Gt(0.0)] = 1e-8
+    ftol: Annotated[float, Ge(0.0)] = 1e-12
+
+    info: ClassVar[SolverInfo] = SolverInfo(
+        reference="Rinnooy Kan & Timmer 1987, doi:10.1007/BF02592071; Kucherenko & Sytsko 2005, "
+        "doi:10.1007/s10589-005-4615-1"
+    )
+
+    def minimize(self, problem: MeteredProblem, rng: np.random.Generator) -> None:
+        algorithms = {"sbplx": nlopt.LN_SBPLX, "nelder-mead": nlopt.LN_NELDERMEAD, "bobyqa": nlopt.LN_BOBYQA}
+        local = nlopt.opt(algorithms[self.local], problem.dimension)
+        local.set_xtol_abs(self.xtol)
+        local.set_ftol_rel(self.ftol)
+        run(nlopt.G_MLSL_LDS, problem, rng, self.population, local)
+
+
+@dataclass(frozen=True)
+class AGS(Solver):
+    """Adaptive global search along a space-filling curve, for at most 10 unknowns, to a grid of 2⁻¹² of the box."""
+
+    info: ClassVar[SolverInfo] = SolverInfo(
+        stochastic=False, converges=False, reference="Sergeyev & Markin 1995, J. Global Optimization 7(4)"
+    )
+
+    def minimize(self, problem: MeteredProblem, rng: np.random.Generator) -> None:
+        if problem.dimension > AGS_DIMENSIONS:
+            raise Incompatible(
+                f"AGS handles at most {AGS_DIMENSIONS} unknowns, and the problem has {problem.dimension}"
+            )
+        run(nlopt.GN_AGS, problem, rng)

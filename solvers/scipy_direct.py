@@ -1,0 +1,55 @@
+"""DIRECT of SciPy: dividing rectangles."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, ClassVar
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+from scipy.optimize import Bounds, direct
+
+from nfbench import Ge, Gt, MeteredProblem, Solver, SolverInfo
+
+__all__ = ["ScipyDirect"]
+
+
+@dataclass(frozen=True)
+class ScipyDirect(Solver):
+    """``scipy.optimize.direct``, DIRECT and its locally biased variant, until the budget ends.
+
+    eps: least improvement, relative to the best value, that a rectangle must promise to be divided.
+    locally_biased: DIRECT_L, which divides one rectangle of each size; false: the original.
+    max_evaluations: the memory SciPy reserves beforehand, in evaluations; the run ends there at the latest.
+    """
+
+    eps: Annotated[float, Gt(0.0)] = 1e-4
+    locally_biased: bool = True
+    max_evaluations: Annotated[int, Ge(1)] = 1_000_000
+
+    info: ClassVar[SolverInfo] = SolverInfo(
+        stochastic=False,
+        reference="Jones, Perttunen & Stuckman 1993, doi:10.1007/BF00941892; "
+        "Gablonsky & Kelley 2001, doi:10.1023/A:1017930332101",
+    )
+
+    def minimize(self, problem: MeteredProblem, rng: np.random.Generator) -> None:
+        n = problem.dimension
+
+        def objective(u: Float[ndarray, " n"]) -> float:
+            return problem(problem.from_unit(u))
+
+        # SciPy allocates by both limits, and a division takes at least two evaluations
+        limit = min(problem.remaining + 1, self.max_evaluations)
+        direct(
+            objective,
+            Bounds(np.zeros(n), np.ones(n)),
+            eps=self.eps,
+            locally_biased=self.locally_biased,
+            maxfun=limit,
+            maxiter=limit,
+            vol_tol=0.0,
+            len_tol=0.0,
+            f_min_rtol=0.0,
+        )

@@ -1,0 +1,61 @@
+"""Dual annealing of SciPy: generalized simulated annealing with local search."""
+
+from __future__ import annotations
+
+import math
+import sys
+from dataclasses import dataclass
+from typing import Annotated, ClassVar
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+from scipy.optimize import Bounds, dual_annealing
+
+from nfbench import Gt, Le, Lt, MeteredProblem, Solver, SolverInfo
+
+__all__ = ["ScipyDualAnnealing"]
+
+
+@dataclass(frozen=True)
+class ScipyDualAnnealing(Solver):
+    """``scipy.optimize.dual_annealing``, annealed again and again until the budget ends.
+
+    initial_temp: the temperature each annealing starts from, in (0.01, 5e4].
+    restart_temp_ratio: an annealing ends when the temperature has fallen by this factor, in (0, 1).
+    visit: tail of the visiting distribution, in (1, 3]: the higher, the farther it jumps.
+    accept: acceptance parameter, in (-1e4, -5]: the lower, the less often a worse point is taken.
+    local_search: refine by L-BFGS-B; its gradients by differences count as evaluations.
+    """
+
+    initial_temp: Annotated[float, Gt(0.01), Le(5e4)] = 5230.0
+    restart_temp_ratio: Annotated[float, Gt(0.0), Lt(1.0)] = 2e-5
+    visit: Annotated[float, Gt(1.0), Le(3.0)] = 2.62
+    accept: Annotated[float, Gt(-1e4), Le(-5.0)] = -5.0
+    local_search: bool = True
+
+    info: ClassVar[SolverInfo] = SolverInfo(reference="Xiang, Sun, Fan & Gong 1997, doi:10.1016/S0375-9601(97)00474-X")
+
+    def minimize(self, problem: MeteredProblem, rng: np.random.Generator) -> None:
+        n = problem.dimension
+
+        def objective(u: Float[ndarray, " n"]) -> float:
+            return problem(problem.from_unit(u))
+
+        try:
+            with np.errstate(all="ignore"):  # the local search meets +inf with inf - inf
+                dual_annealing(
+                    objective,
+                    Bounds(np.zeros(n), np.ones(n)),
+                    maxiter=sys.maxsize,
+                    maxfun=math.inf,
+                    initial_temp=self.initial_temp,
+                    restart_temp_ratio=self.restart_temp_ratio,
+                    visit=self.visit,
+                    accept=self.accept,
+                    no_local_search=not self.local_search,
+                    rng=rng,
+                )
+        except ValueError:
+            if problem.nonfinite <= 1000:  # beyond, SciPy gave up on starts without a finite value
+                raise

@@ -1,0 +1,171 @@
+import numpy as np
+import pytest
+from bench_problems import Formula, bowl, ramp
+from numpy.testing import assert_allclose, assert_array_equal
+
+from nfbench import Budget, OptionError, minimize
+from nfbench.solvers.de import DE
+
+BLOCK = 16
+RULES = ["clip", "midpoint", "reflect", "resample"]
+
+
+def mirrored(v, low, high):
+    while not low <= v <= high:
+        v = 2 * low - v if v < low else 2 * high - v
+    return v
+
+
+def plain_de(f, lower, upper, N, F, CR, rule, generations, rng):
+    """DE/rand/1/bin of the paper, one number at a time, on the random arrays that DE documents."""
+    n = len(lower)
+    unit = rng.random((N, n))
+    x = [[lower[j] + unit[i, j] * (upper[j] - lower[j]) for j in range(n)] for i in range(N)]
+    seen = [list(xi) for xi in x]
+    values = [f(xi) for xi in x]
+    for g in range(generations - 1):
+        if g % BLOCK == 0:
+            cards = [rng.integers(1, N - taken, (BLOCK, N)) for taken in range(3)]
+            rand = rng.random((BLOCK, N, n))
+            j_rand = rng.integers(0, n, (BLOCK, N))
+        b = g % BLOCK
+        trials = []
+        for i in range(N):
+            deck = [(i + step) % N for step in range(1, N)]
+            r1, r2, r3 = (deck.pop(cards[c][b, i] - 1) for c in range(3))
+            assert len({i, r1, r2, r3}) == 4
+            u = list(x[i])
+            for j in range(n):
+                if rand[b, i, j] <= CR or j == j_rand[b, i]:
+                    v = x[r1][j] + F * (x[r2][j] - x[r3][j])
+                    if not lower[j] <= v <= upper[j]:
+                        bound = lower[j] if v < lower[j] else upper[j]
+                        if rule == "clip":
+                            v = bound
+                        elif rule == "midpoint":
+                            v = (x[i][j] + bound) / 2
+                        elif rule == "reflect":
+                            v = mirrored(v, lower[j], upper[j])
+                        else:
+                            v = lower[j] + rng.random() * (upper[j] - lower[j])
+                    u[j] = v
+            trials.append(u)
+        for i, u in enumerate(trials):
+            fu = f(u)
+            if fu <= values[i]:
+                x[i], values[i] = u, fu
+        seen += trials
+    return np.array(seen), np.array(values)
+
+
+def rugged(X):
+    return (X**2).sum(axis=1) + np.cos(7 * X[:, 0]) * X[:, -1]
+
+
+@pytest.mark.parametrize("rule", RULES)
+@pytest.mark.parametrize(
+    ("N", "n", "F", "CR"), [(4, 1, 0.5, 0.8), (11, 3, 0.5, 0.8), (20, 2, 2.0, 1.0), (7, 5, 1.3, 0.0)]
+)
+def test_evaluates_the_same_points_as_a_plain_loop(rule, N, n, F, CR):
+    lower, upper = np.linspace(-2.0, 0.3, n), np.linspace(1.0, 3.3, n)
+    problem = Formula(rugged, lower, upper)
+    minimum = minimize(problem, DE(population=N, F=F, CR=CR, bounds=rule, generations=40), N * 100, 5)
+    seen, values = plain_de(
+        lambda x: float(rugged(np.array([x]))[0]), lower, upper, N, F, CR, rule, 40, np.random.default_rng(5)
+    )
+    assert len(problem.points) == 40 * N
+    if rule == "reflect":  # mirrored step by step and by one remainder: rounded differently, and F = 2 doubles errors
+        assert_allclose(problem.points, seen, rtol=0, atol=1e-10)
+        assert_allclose(minimum.value, values.min(), rtol=0, atol=1e-10)
+    else:
+        assert_array_equal(problem.points, seen)
+        assert minimum.value == values.min()
+
+
+def test_the_plain_loop_leaves_the_box_often_enough_to_test_the_rules():
+    lower, upper = np.full(3, -1.0), np.full(3, 1.0)
+    runs = {
+        rule: plain_de(lambda x: -sum(x), lower, upper, 11, 0.5, 0.8, rule, 40, np.random.default_rng(5))[0]
+        for rule in RULES
+    }
+    for rule in RULES[1:]:
+        assert np.abs(runs[rule] - runs["clip"]).max() > 0.1
+
+
+def test_indices_are_distinct_and_every_triple_is_equally_likely():
+    draws = DE(population=5)._draws(np.random.default_rng(0), 5, 2)
+    counts = np.zeros((5, 5, 5, 5))
+    rounds = 20_000
+    for _, (r, _) in zip(range(rounds), draws, strict=False):
+        counts[np.arange(5), r[0], r[1], r[2]] += 1
+    allowed = [(i, a, b, c) for i, a, b, c in np.ndindex(5, 5, 5, 5) if len({i, a, b, c}) == 4]
+    observed = np.array([counts[key] for key in allowed])
+    assert observed.sum() == 5 * rounds == counts.sum()
+    assert_allclose(observed, rounds / 24, atol=5 * np.sqrt(rounds / 24))
+
+
+def test_crossover_takes_cr_of_the_coordinates_and_at_least_one():
+    draws = DE(CR=0.3)._draws(np.random.default_rng(0), 50, 8)
+    cross = np.array([next(draws)[1] for _ in range(400)])
+    assert cross.any(axis=2).all()
+    assert_allclose(cross.mean(), 1 / 8 + 7 / 8 * 0.3, atol=0.005)
+    only = DE(CR=0.0)._draws(np.random.default_rng(0), 50, 8)
+    assert_array_equal(next(only)[1].sum(axis=1), 1)
+    everything = DE(CR=1.0)._draws(np.random.default_rng(0), 50, 8)
+    assert next(everything)[1].all()
+
+
+def test_selection_accepts_equal_values_so_that_a_plateau_is_crossed():
+    problem = Formula(lambda X: np.zeros(len(X)), [0.0, 0.0], [1.0, 1.0])
+    minimize(problem, DE(population=10, bounds="resample", generations=30), 1000)
+    first, last = problem.points[:10], problem.points[-10:]
+    assert not np.isin(last, first).any()
+
+
+def test_the_papers_setting_spends_15000_evaluations_and_converges():
+    minimum = minimize(bowl(2), DE(generations=300), 10**6)
+    assert DE() == DE(population=50, F=0.5, CR=0.8)
+    assert minimum.evaluations == 15_000
+    assert minimum.value < 1e-25
+
+
+def test_without_generations_the_budget_ends_it():
+    assert minimize(bowl(2), DE(), 1234).evaluations == 1234
+    assert minimize(bowl(2), DE(), Budget(evaluations=5000, target=1e-3)).value <= 1e-3
+
+
+@pytest.mark.parametrize("rule", RULES)
+def test_every_rule_stays_inside_and_reaches_a_corner(rule):
+    problem = ramp(3)
+    minimum = minimize(problem, DE(bounds=rule, F=0.9), 20_000)
+    assert minimum.status == "ok"
+    assert (problem.points >= -1).all()
+    assert (problem.points <= 2).all()
+    assert_allclose(minimum.value, -6, atol=1e-3)
+
+
+def test_only_clip_lands_on_the_bound_itself():
+    share = {}
+    for rule in RULES:
+        problem = ramp(3)
+        minimize(problem, DE(bounds=rule), 2000)
+        share[rule] = (problem.points == 2).mean()
+    assert share["clip"] > 0.3
+    assert share["reflect"] == share["resample"] == 0
+    assert share["midpoint"] == 0
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"population": 3}, "population: expected greater than or equal to 4, got 3"),
+        ({"F": 2.1}, "F: expected less than or equal to 2, got 2.1"),
+        ({"CR": -0.1}, "CR: expected greater than or equal to 0, got -0.1"),
+        ({"bounds": "wrap"}, "bounds: expected 'clip', 'midpoint', 'reflect' or 'resample', got 'wrap'"),
+        ({"generations": 0}, "generations: expected greater than or equal to 1, got 0"),
+    ],
+)
+def test_impossible_options_are_named(options, message):
+    with pytest.raises(OptionError) as caught:
+        DE(**options)
+    assert message in str(caught.value)
