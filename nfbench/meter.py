@@ -70,7 +70,8 @@ class MeteredProblem(Problem):
 
     def from_unit(self, U: Float[ndarray, "*p n"]) -> Float[ndarray, "*p n"]:
         """Points of the unit box [0, 1]ⁿ as points of this box, safe against rounding past its edge."""
-        return np.clip(self.lower + U * (self.upper - self.lower), self.lower, self.upper)
+        X = self.lower + U * (self.upper - self.lower)
+        return np.minimum(np.maximum(X, self.lower, out=X), self.upper, out=X)  # np.clip takes three times as long
 
     def to_unit(self, X: Float[ndarray, "*p n"]) -> Float[ndarray, "*p n"]:
         """Points of this box as points of the unit box [0, 1]ⁿ."""

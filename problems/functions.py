@@ -207,10 +207,7 @@ class Direct(Formulation):
     accepts: ClassVar[type[Instance]] = FunctionInstance
 
     def solve(self, instance: FunctionInstance, minimize: Minimize) -> Point:
-        x = minimize(instance.problem).x
-        if x is None:
-            raise ValueError("minimize: expected a minimum with a point, got none")
-        return x
+        return minimize(instance.problem).x
 
 
 def _orthogonal(n: int, rng: np.random.Generator) -> Float[ndarray, "n n"]:

@@ -26,8 +26,8 @@ __all__ = ["CMAES"]
 class CMAES(AskTellSolver):
     """Covariance matrix adaptation (pycma) in the unit box, started at uniform random points.
 
-    Outside points are mapped back by pycma's BoundTransform. A run ends when the points of a generation are within
-    1e-12 of the box or their values within 1e-12 of the range that the run has covered, or when pycma sees no progress.
+    Outside points are mapped back by pycma's BoundTransform. A run ends when its steps fall below 1e-12 of the box's
+    width, the values of a generation within 1e-12 of the range the run has covered, or when pycma sees no progress.
 
     sigma0: initial standard deviation, as a fraction of the box's width.
     population: λ of the first run; None: 4 + ⌊3 ln n⌋.

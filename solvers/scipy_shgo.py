@@ -24,13 +24,14 @@ class ScipySHGO(Solver):
 
     Each round adds points to a simplicial complex and searches locally from those lower than all their neighbours.
 
-    points: new points in a round; "sobol" rounds it up to a power of two.
+    points: new points in a round; "sobol" rounds it up to a power of two. Each round looks at all points again, so
+        that many small rounds take far longer than the evaluations do.
     sampling: "simplicial": a regular subdivision of the box; "sobol", "halton": low-discrepancy points and their
         Delaunay triangulation, for at most 3 unknowns.
     local: the local search; its gradients by differences count as evaluations.
     """
 
-    points: Annotated[int, Ge(1)] = 64
+    points: Annotated[int, Ge(1)] = 1024
     sampling: Literal["simplicial", "sobol", "halton"] = "simplicial"
     local: Literal["L-BFGS-B", "SLSQP"] = "SLSQP"
 

@@ -112,7 +112,7 @@ def test_direct_memory_limits_the_run():
 @pytest.mark.parametrize("sampling", ["simplicial", "sobol", "halton"])
 @pytest.mark.parametrize("local", ["SLSQP", "L-BFGS-B"])
 def test_shgo_finds_the_narrow_valley(sampling, local):
-    minimum = minimize(two_valleys(), ScipySHGO(sampling=sampling, local=local), 1500)
+    minimum = minimize(two_valleys(), ScipySHGO(points=64, sampling=sampling, local=local), 1500)
     assert minimum.evaluations == 1500
     assert minimum.value < -1.99
 
