@@ -49,7 +49,7 @@ _SENTENCES = {
     Status.OK: "The run ended by itself or used up its budget, with a valid estimate.",
     Status.FAILED: "The solver or formulation raised an exception, or returned without evaluating a point.",
     Status.TIMEOUT: "The run exceeded run_timeout_s and was stopped.",
-    Status.CRASHED: "The process of the run died.",
+    Status.CRASHED: "The process of the run died, or ran out of memory.",
     Status.INVALID: "A point outside the box, a wrong shape, or no finite value was met.",
     Status.SKIPPED: "The pair cannot work together; the message says why.",
 }

@@ -74,7 +74,7 @@ def run(
 ) -> None:
     """Run a study, or go on with it where it was left, and show what it found."""
     from .manifest import load_study
-    from .progress import Bar, Lines, Quiet
+    from .progress import Lines, LiveView, Quiet
     from .report import print_report
     from .results import Results
     from .results import run as run_study
@@ -84,7 +84,7 @@ def run(
     for warning in loaded.warnings:
         Console(stderr=True).print(f"nfbench: {warning}", style="yellow", highlight=False, markup=False, soft_wrap=True)
     folder = out or Path("results") / loaded.name
-    progress = Quiet() if quiet else Bar(console) if console.is_terminal else Lines(console)
+    progress = Quiet() if quiet else (LiveView if console.is_terminal else Lines)(console, loaded.error)
     try:
         with progress:
             results = run_study(loaded, out=folder, jobs=jobs, fresh=fresh, retry=retry or (), listener=progress)

@@ -60,6 +60,8 @@ def execute(spec: RunSpec, registry: Registry) -> RunRecord:
         status, message = Status.SKIPPED, str(error)
     except NfbenchError as error:
         status, message = Status.FAILED, str(error)
+    except MemoryError as error:
+        status, message = Status.CRASHED, f"ran out of memory: {explain(error)}"
     except (Exception, SystemExit) as error:
         status, message = Status.FAILED, explain(error)
     minima = attempt.minima

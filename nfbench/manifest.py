@@ -47,18 +47,22 @@ class Manifest(Options):
 
 @dataclass(frozen=True)
 class Limits(Options):
-    """``[budget]``: what a solver may spend on each problem handed to it, and when a run is stopped for good."""
+    """``[budget]``: what a solver may spend on each problem handed to it, and what stops a run for good.
+
+    run_timeout_s: a run that takes longer is killed [s]. run_memory_mb: what a run may allocate [MiB].
+    """
 
     evaluations: Annotated[int, Ge(1)] | None = None
     seconds: Annotated[float, Gt(0.0)] | None = None
     target: float | None = None
     run_timeout_s: Annotated[float, Gt(0.0)] | None = None
+    run_memory_mb: Annotated[int, Ge(1)] | None = None
 
     def validate(self) -> None:
         self.budget()
 
     def budget(self) -> Table | None:
-        """The solver's budget as plain data; None where only ``run_timeout_s`` is given."""
+        """The solver's budget as plain data; None where it has none."""
         if self.evaluations is self.seconds is self.target is None:
             return None
         return cast(Table, canonical(Budget(self.evaluations, self.seconds, self.target)))
@@ -366,5 +370,6 @@ def _labelled(pairs: list[_Pair], chooser: Chooser, problems: Problems) -> list[
             label += f" @{budget['evaluations'] or str(budget['seconds']) + 's'}"
         if labels.setdefault(label, pair.path) != pair.path:
             problems.add(f"{pair.path}.label", f"{label!r} is taken by {labels[label]}; give each method its own label")
-        methods.append(Method(formulation, solver, budget, label, pair.limits.run_timeout_s))
+        limits = pair.limits
+        methods.append(Method(formulation, solver, budget, label, limits.run_timeout_s, limits.run_memory_mb))
     return methods

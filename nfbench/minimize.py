@@ -75,6 +75,8 @@ def _drive(solver: Solver, meter: MeteredProblem, rng: np.random.Generator) -> t
         pass
     except Incompatible as error:
         return Status.SKIPPED, str(error)
+    except MemoryError:
+        raise  # the run's, not the solver's: it ends as crashed
     except Exception as error:
         if meter.fault is None:
             return Status.FAILED, explain(error)

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -13,12 +12,14 @@ from typing import Protocol
 
 import pandas as pd
 
-from .engine import run_specs
+from .engine import Batches, run_specs
 from .environment import describe_environment
 from .errors import StoreError
 from .execute import RunRecord
-from .store import Store
-from .study import Study
+from .interrupts import Interrupts
+from .log import logging_to
+from .store import Store, network_file_system
+from .study import RunSpec, Study
 from .tables import summarize
 
 __all__ = ["Listener", "Results", "run"]
@@ -30,8 +31,11 @@ class Listener(Protocol):
     def begin(self, total: int, done: int) -> None:
         """``done`` of ``total`` runs were finished before."""
 
-    def finished(self, record: RunRecord) -> None:
+    def finished(self, spec: RunSpec, record: RunRecord) -> None:
         """One more run is finished and stored."""
+
+    def stopping(self) -> None:
+        """Ctrl-C was met: runs in flight are finished, then the study stops. Called from a signal handler."""
 
 
 @dataclass(frozen=True)
@@ -50,6 +54,12 @@ class Results:
             return store.runs()
 
     @property
+    def origins(self) -> pd.DataFrame:
+        """Where and when each finished run was made: run_id, host, worker (process id), finished."""
+        with Store(self.folder) as store:
+            return store.origins()
+
+    @property
     def traces(self) -> pd.DataFrame:
         """Every improvement of every run: run_id, problem (0, 1 … in the run), evaluations, seconds, value, x_0 …"""
         with Store(self.folder) as store:
@@ -64,7 +74,7 @@ class Results:
                         **{f"x_{j}": column for j, column in enumerate(trace.points.T)},
                     }
                 )
-                for run_id, traces in store.all_traces()
+                for run_id, traces in store.traces()
                 for number, trace in enumerate(traces)
             ]
         columns = ["run_id", "problem", "evaluations", "seconds", "value"]
@@ -72,7 +82,7 @@ class Results:
 
     @property
     def meta(self) -> dict[str, str]:
-        """Name, seed, title, expectation, error and outlier threshold of the study."""
+        """Name, seed, shard, title, expectation, error and outlier threshold of the study."""
         with Store(self.folder) as store:
             return store.meta
 
@@ -84,14 +94,20 @@ class Results:
 
     def summary(self, by: Sequence[str] | None = None, outlier_m: float | None = None) -> pd.DataFrame:
         """One row per group of ``by`` (default: swept keys, formulation, solver, method); see ``tables.summarize``."""
+        return self._summary(self.runs, by, outlier_m)
+
+    def write_tables(self) -> None:
+        """Write ``runs.csv`` and ``summary.csv``; each replaces the old one only when it is whole."""
+        runs = self.runs
+        _write(self.folder / "runs.csv", lambda path: runs.to_csv(path, index=False))
+        _write(self.folder / "summary.csv", lambda path: self._summary(runs).to_csv(path, index=False))
+
+    def _summary(
+        self, runs: pd.DataFrame, by: Sequence[str] | None = None, outlier_m: float | None = None
+    ) -> pd.DataFrame:
         meta = self.meta
         outlier_m = float(meta["outlier_m"]) if outlier_m is None else outlier_m
-        return summarize(self.runs, by, error=meta["error"], outlier_m=outlier_m)
-
-    def write_tables(self) -> list[Path]:
-        """Write ``runs.csv`` and ``summary.csv``; each replaces the old one only when it is whole."""
-        tables = {"runs.csv": self.runs, "summary.csv": self.summary()}
-        return [_written(self.folder / name, table.to_csv(index=False)) for name, table in tables.items()]
+        return summarize(runs, by, error=meta["error"], outlier_m=outlier_m)
 
 
 def run(
@@ -99,60 +115,86 @@ def run(
     *,
     out: str | Path | None = None,
     jobs: int | None = None,
+    cluster: str | None = None,
+    shard: tuple[int, int] | None = None,
     fresh: bool = False,
     retry: Iterable[str] = (),
     listener: Listener | None = None,
 ) -> Results:
     """Run a study into ``out`` (default ``results/<name>``) and return its results; a second call resumes.
 
-    jobs: worker processes (default: one a core; 0: in this process). fresh: move an old folder aside first.
-    retry: statuses whose runs are made again, e.g. ``["failed"]``. Raises StoreError where the folder cannot be used
-    or belongs to another study. KeyboardInterrupt leaves a folder that resumes.
+    jobs: worker processes (default: one a core; 0: in this process, without isolation). cluster: the address of a
+    dask.distributed scheduler, or ``local:N`` to start one here with N workers, instead of jobs. shard: (k, n) makes
+    only the k-th of n deterministic parts, to be joined by ``merge``. fresh: move an old folder aside first. retry:
+    statuses whose runs are made again, e.g. ``["failed"]``.
+
+    Raises StoreError where the folder cannot be used, has another writer or belongs to another study; KeyboardInterrupt
+    after SIGINT or SIGTERM, with the runs in flight finished and a folder that resumes.
     """
     folder = Path("results") / study.name if out is None else Path(out)
     jobs = os.cpu_count() or 1 if jobs is None else jobs
+    _prepare(folder, fresh)
+    results = Results(folder)
+    told = listener.stopping if listener else lambda: None
+    with Store(folder, write=True) as store, logging_to(folder / "study.log") as log, Interrupts(told) as stop:
+        store.begin(study, shard)
+        store.forget(retry)
+        _write(folder / "manifest.toml", lambda path: path.write_text(study.manifest, encoding="utf-8"))
+        if kind := network_file_system(folder):
+            log.warning("%s is on a network file system (%s): writing without WAL, which is slower", folder, kind)
+        todo = store.open_ordinals()
+        total = sum(store.counts().values())
+        log.info("%d of %d runs to do, %s", len(todo), total, cluster or f"{jobs} jobs")
+        if listener:
+            listener.begin(total, total - len(todo))
+        started = datetime.now(UTC)
+        batches = _batches(study, todo, jobs, cluster, stop)
+        try:
+            for batch in batches:
+                store.add(record for _, record in batch)
+                for spec, record in batch:
+                    if record.status != "ok":
+                        log.info("%s: %s: %s", record.status, spec.method.label, record.message)
+                    if listener:
+                        listener.finished(spec, record)
+        finally:
+            batches.close()
+            if todo or not (folder / "runs.csv").is_file():
+                environment = describe_environment(study.plugins) | {"jobs": cluster or jobs}
+                environment |= {"started": started.isoformat(), "ended": datetime.now(UTC).isoformat()}
+                text = json.dumps(environment, indent=2) + "\n"
+                _write(folder / "environment.json", lambda path: path.write_text(text, encoding="utf-8"))
+            results.write_tables()
+            log.info("ended: %s", ", ".join(f"{count} {status}" for status, count in store.counts().items()))
+        if stop():
+            raise KeyboardInterrupt
+    return results
+
+
+def _batches(study: Study, todo: list[int], jobs: int, cluster: str | None, stop: Callable[[], bool]) -> Batches:
+    specs = map(study.spec, todo)
+    if cluster is None:
+        return run_specs(specs, study.plugins, jobs if todo else 0, stop)
+    from .cluster import run_on_cluster
+
+    return run_on_cluster(specs, study.plugins, cluster, stop)
+
+
+def _prepare(folder: Path, fresh: bool) -> None:
     try:
         if fresh and folder.exists():
             folder.rename(folder.with_name(f"{folder.name}.{datetime.now():%Y%m%d-%H%M%S}"))
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise StoreError(f"{folder}: {error.strerror or error}") from error
-    results = Results(folder)
-    with Store(folder, create=True) as store:
-        store.begin(study)
-        store.forget(retry)
-        started = time.time()
-        _written(folder / "manifest.toml", study.manifest)
-        done = store.finished()
-        todo = (spec for spec in study.specs() if spec.run_id not in done)
-        if listener:
-            counts = store.counts()
-            listener.begin(len(study), len(study) - counts.get("open", 0))
-        try:
-            for record in run_specs(todo, study.plugins, jobs):
-                store.add(record)
-                if listener:
-                    listener.finished(record)
-        finally:
-            _written(folder / "environment.json", json.dumps(_environment(study, jobs, started), indent=2) + "\n")
-            results.write_tables()
-    return results
 
 
-def _environment(study: Study, jobs: int, started: float) -> dict[str, object]:
-    times = {
-        name: datetime.fromtimestamp(t, UTC).isoformat() for name, t in (("started", started), ("ended", time.time()))
-    }
-    return {**describe_environment(study.plugins), "jobs": jobs, **times}
-
-
-def _written(path: Path, text: str) -> Path:
+def _write(path: Path, write: Callable[[Path], object]) -> None:
     """Write a file whole or not at all. Raises StoreError, and the old file stays, where that fails."""
     draft = path.with_name(f".{path.name}.draft")
     try:
-        draft.write_text(text, encoding="utf-8")
+        write(draft)
         draft.replace(path)
     except OSError as error:
         draft.unlink(missing_ok=True)
         raise StoreError(f"{path}: {error.strerror or error}; finished rows are kept in runs.sqlite") from error
-    return path

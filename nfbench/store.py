@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 import json
+import math
+import re
 import sqlite3
+import time
 import zlib
 from collections.abc import Iterable, Iterator
 from pathlib import Path
@@ -12,15 +16,17 @@ from typing import Any, Self
 
 import numpy as np
 import pandas as pd
+from filelock import FileLock, Timeout
 
 from .errors import StoreError
 from .execute import RunRecord
 from .study import RunSpec, Study
 from .trace import Trace
 
-__all__ = ["Store"]
+__all__ = ["RunsFrame", "Store", "network_file_system"]
 
-SCHEMA = 1
+FILE = "runs.sqlite"
+SCHEMA = 2
 _TABLES = """
 CREATE TABLE IF NOT EXISTS meta (key TEXT PRIMARY KEY, value TEXT NOT NULL) WITHOUT ROWID;
 CREATE TABLE IF NOT EXISTS plan (
@@ -28,178 +34,331 @@ CREATE TABLE IF NOT EXISTS plan (
     method TEXT, repetition INTEGER, swept TEXT, instance_seed INTEGER, solver_seed INTEGER);
 CREATE TABLE IF NOT EXISTS results (
     run_id TEXT PRIMARY KEY, status TEXT NOT NULL, message TEXT, objective REAL, evaluations INTEGER, runtime_s REAL,
-    cpu_s REAL, scores TEXT, estimate TEXT, traces BLOB, host TEXT, worker INTEGER) WITHOUT ROWID;
+    cpu_s REAL, scores TEXT, estimate TEXT, traces BLOB, host TEXT, worker INTEGER, finished REAL) WITHOUT ROWID;
 """
+_MIGRATIONS = {  # what makes a file of that schema one of the next
+    1: "ALTER TABLE results ADD COLUMN finished REAL;",
+}
+_PLAN_COLUMNS = 10
+_RESULT_COLUMNS = 13
 
 
 class Store:
-    """The rows and traces of one study's folder, in ``runs.sqlite``.
+    """The rows and traces of one study's folder.
 
     ``plan`` holds what the manifest asks for now, in order; ``results`` whatever was ever computed here. Tables show
-    the results of the plan. Raises StoreError where the file cannot be opened, read or written.
+    the results of the plan. Open it for reading, at any time and by any number of processes, or with ``write=True``,
+    by one. Raises StoreError where the file cannot be opened, is damaged, or has another writer.
     """
 
-    def __init__(self, folder: Path, *, create: bool = False) -> None:
-        self.path = folder / "runs.sqlite"
-        if not create and not self.path.is_file():
-            raise StoreError(f"{folder}: expected a results folder with runs.sqlite, found none")
-        try:
-            self._db = sqlite3.connect(self.path)
-            self._db.execute("PRAGMA journal_mode = WAL")
-            self._db.execute("PRAGMA synchronous = NORMAL")
-            self._db.executescript(_TABLES)
-            schema = self.meta.setdefault("schema", str(SCHEMA)) if create else self.meta.get("schema")
-        except sqlite3.Error as error:
-            raise StoreError(f"{self.path}: {error}") from error
-        if schema != str(SCHEMA):
-            raise StoreError(f"{self.path}: expected schema {SCHEMA}, found {schema}")
+    def __init__(self, folder: Path, *, write: bool = False) -> None:
+        self.folder, self.path = folder, folder / FILE
+        self._lock = FileLock(folder / ".lock", timeout=0) if write else None
+        if not write and not self.path.is_file():
+            raise StoreError(f"{folder}: expected a results folder with {FILE}, found none")
+        with self._telling():
+            self._db = self._opened_to_write() if write else self._opened_to_read()
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
+        if self._lock is not None:
+            with contextlib.suppress(sqlite3.Error):  # one file without companions, unless somebody is reading
+                self._db.execute("PRAGMA journal_mode = DELETE")
         self._db.close()
+        if self._lock is not None:
+            self._lock.release()
+
+    # --- reading -------------------------------------------------------------------------------------------------
 
     @property
     def meta(self) -> dict[str, str]:
         """What the folder belongs to, as text by key."""
-        return dict(self._db.execute("SELECT key, value FROM meta"))
+        with self._telling():
+            return dict(self._db.execute("SELECT key, value FROM meta"))
 
-    def begin(self, study: Study) -> None:
-        """Lay down the study's plan. Raises StoreError if the folder belongs to another study or seed."""
-        asked = {"schema": str(SCHEMA), "name": study.name, "seed": str(study.seed)}
+    def counts(self) -> dict[str, int]:
+        """Runs of the plan by status, and those without a result as ``open``."""
+        query = "SELECT COALESCE(status, 'open'), COUNT(*) FROM plan LEFT JOIN results USING (run_id) GROUP BY 1"
+        with self._telling():
+            return dict(self._db.execute(query))
+
+    def failures(self) -> list[tuple[str, str, int, str]]:
+        """(status, method, how many, one message) of the runs that are not ok."""
+        query = (
+            "SELECT status, method, COUNT(*), MIN(message) FROM plan JOIN results USING (run_id) "
+            "WHERE status != 'ok' GROUP BY 1, 2 ORDER BY 3 DESC"
+        )
+        with self._telling():
+            return list(self._db.execute(query))
+
+    def rate(self, window_s: float = 300.0) -> float:
+        """Runs finished per second over the last ``window_s`` seconds in which any was, 0 if that cannot be told."""
+        query = (
+            "SELECT COUNT(*), MAX(finished) - MIN(finished) FROM results WHERE finished > "
+            "(SELECT MAX(finished) FROM results) - ?"
+        )
+        with self._telling():
+            count, seconds = self._db.execute(query, [window_s]).fetchone()
+        return (count - 1) / seconds if seconds else 0.0
+
+    def open_ordinals(self) -> list[int]:
+        """The plan's places without a result, in order."""
+        query = "SELECT ordinal FROM plan WHERE run_id NOT IN (SELECT run_id FROM results) ORDER BY ordinal"
+        with self._telling():
+            return [ordinal for (ordinal,) in self._db.execute(query)]
+
+    def runs(self) -> pd.DataFrame:
+        """One row a finished run of the plan, in its order; the columns of ``runs.csv``."""
+        frame = RunsFrame(self.meta.get("name", ""))
+        with self._telling():
+            for row in self._db.execute(f"SELECT {', '.join(RunsFrame.SELECT)} {_JOINED}"):
+                frame.add(*row)
+        return frame.finished()
+
+    def origins(self) -> pd.DataFrame:
+        """Where and when each finished run of the plan was made: run_id, host, worker (process id), finished."""
+        columns = ["run_id", "host", "worker", "finished"]
+        with self._telling():
+            rows = self._db.execute(f"SELECT {', '.join(columns)} {_JOINED}").fetchall()
+        frame = pd.DataFrame(rows, columns=columns)
+        return frame.assign(finished=pd.to_datetime(frame["finished"].astype(float), unit="s", utc=True))
+
+    def traces(self) -> Iterator[tuple[str, tuple[Trace, ...]]]:
+        """(run_id, traces) of every finished run of the plan, in its order; a trace for each problem minimized."""
+        with self._telling():
+            for run_id, blob in self._db.execute(f"SELECT run_id, traces {_JOINED}"):
+                yield run_id, _unpacked(blob)
+
+    # --- writing -------------------------------------------------------------------------------------------------
+
+    def begin(self, study: Study, shard: tuple[int, int] | None = None) -> None:
+        """Lay down the plan: all runs of the study, or those of shard k of n.
+
+        Raises StoreError, with the difference, if the folder belongs to another study, seed or shard.
+        """
+        asked = {"name": study.name, "seed": str(study.seed), "shard": f"{shard[0]}/{shard[1]}" if shard else ""}
         found = self.meta
         differing = [
-            f"{key} {found[key]!r} there, {value!r} asked for"
+            f"{key} is {found[key]!r} there, {value!r} was asked for"
             for key, value in asked.items()
             if found.get(key, value) != value
         ]
         if differing:
             raise StoreError(
-                f"{self.path.parent} belongs to another study: {'; '.join(differing)}; "
-                f"choose another folder with --out, or move it aside with --fresh"
+                f"{self.folder} belongs to another study: {'; '.join(differing)}; choose another folder with --out, "
+                f"or move this one aside with --fresh"
             )
         about = {"title": study.title, "expect": study.expect, "error": study.error, "outlier_m": study.outlier_m}
+        plan = study.fingerprint
         with self._writing():
-            self._db.executemany(
-                "REPLACE INTO meta VALUES (?, ?)", [(k, str(v)) for k, v in {**asked, **about}.items()]
-            )
-            self._db.execute("DELETE FROM plan")
-            self._db.executemany(
-                "INSERT INTO plan VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
-                (_plan_row(number, spec) for number, spec in enumerate(study.specs())),
-            )
+            known = [(key, str(value)) for key, value in {**asked, **about, "plan": plan}.items()]
+            self._db.executemany("REPLACE INTO meta VALUES (?, ?)", known)
+            if found.get("plan") != plan:
+                self._db.execute("DELETE FROM plan")
+                rows = (
+                    _plan_row(ordinal, spec)
+                    for ordinal, spec in enumerate(study.specs())
+                    if shard is None or int(spec.run_id, 16) % shard[1] == shard[0] - 1
+                )
+                self._db.executemany(f"INSERT INTO plan VALUES ({_marks(_PLAN_COLUMNS)})", rows)
 
     def forget(self, statuses: Iterable[str]) -> None:
         """Drop the results of these statuses, so that their runs are made again."""
         with self._writing():
-            self._db.executemany("DELETE FROM results WHERE status = ?", [(status,) for status in statuses])
+            self._db.executemany("DELETE FROM results WHERE status = ?", [(str(status),) for status in statuses])
 
-    def finished(self) -> set[str]:
-        """The run_ids that have a result."""
-        return {run_id for (run_id,) in self._db.execute("SELECT run_id FROM results")}
-
-    def add(self, record: RunRecord) -> None:
-        """Write one record; it is safe when this returns, also if this process is killed the next moment."""
-        row = (
-            record.run_id, str(record.status), record.message, record.objective, record.evaluations, record.runtime_s,
-            record.cpu_s, json.dumps(record.scores), json.dumps(record.estimate), _packed(record.traces), record.host,
-            record.worker,
-        )  # fmt: skip
+    def add(self, records: Iterable[RunRecord]) -> None:
+        """Write records in one transaction; they are on the disk when this returns."""
+        rows = [_result_row(record) for record in records]
         with self._writing():
-            self._db.execute("REPLACE INTO results VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)", row)
+            self._db.executemany(f"REPLACE INTO results VALUES ({_marks(_RESULT_COLUMNS)})", rows)
 
-    def counts(self) -> dict[str, int]:
-        """Runs of the plan by status, and those without a result as ``open``."""
-        query = "SELECT COALESCE(status, 'open'), COUNT(*) FROM plan LEFT JOIN results USING (run_id) GROUP BY 1"
-        return dict(self._db.execute(query))
+    def take_over(self, other: Store) -> None:
+        """Add the plan and results of another folder of the same study.
 
-    def runs(self) -> pd.DataFrame:
-        """One row a finished run of the plan, in its order; the columns of ``runs.csv``."""
-        study = self.meta.get("name", "")
-        rows = list(
-            self._db.execute(
-                "SELECT run_id, scenario, formulation, solver, repetition, swept, status, message, objective, "
-                "evaluations, runtime_s, cpu_s, instance_seed, solver_seed, method, scores "
-                "FROM plan JOIN results USING (run_id) ORDER BY ordinal"
+        Raises StoreError if they contradict what is here: another study, another plan, or other values of a run.
+        """
+        ours, theirs = self.meta, other.meta
+        for key in ("name", "seed", "plan"):
+            if ours.setdefault(key, theirs.get(key, "")) != theirs.get(key, ""):
+                what = "the manifest, or a plugin's version," if key == "plan" else f"{key} {ours[key]!r}"
+                raise StoreError(f"{other.folder} cannot be merged: {what} differs from that of the folders before it")
+        with self._writing():
+            known = [(key, value) for key, value in theirs.items() if key != "shard"]
+            self._db.executemany("REPLACE INTO meta VALUES (?, ?)", known)
+            self._db.executemany(
+                f"INSERT OR IGNORE INTO plan VALUES ({_marks(_PLAN_COLUMNS)})", other._db.execute("SELECT * FROM plan")
             )
-        )
-        return pd.DataFrame([_run_row(study, row) for row in rows], columns=None if rows else _COLUMNS)
+            for row in other._db.execute("SELECT * FROM results"):
+                here = self._db.execute("SELECT * FROM results WHERE run_id = ?", row[:1]).fetchone()
+                if here is not None and _computed(here) != _computed(row):
+                    raise StoreError(
+                        f"{other.folder} cannot be merged: run {row[0]} came to another result than in the folders "
+                        f"before it ({here[1]}, objective {here[3]}; here {row[1]}, objective {row[3]})"
+                    )
+                if here is None:
+                    self._db.execute(f"INSERT INTO results VALUES ({_marks(_RESULT_COLUMNS)})", row)
 
-    def traces(self, run_id: str) -> tuple[Trace, ...]:
-        """The traces of one run, one for each problem it minimized. Raises StoreError for an unknown run_id."""
-        found = self._db.execute("SELECT traces FROM results WHERE run_id = ?", [run_id]).fetchone()
-        if found is None:
-            raise StoreError(f"{self.path}: no result of run_id {run_id!r}")
-        return _unpacked(found[0])
+    # --- the file ------------------------------------------------------------------------------------------------
 
-    def all_traces(self) -> Iterator[tuple[str, tuple[Trace, ...]]]:
-        """(run_id, traces) of every finished run of the plan, in its order."""
-        query = "SELECT run_id, traces FROM plan JOIN results USING (run_id) ORDER BY ordinal"
-        for run_id, blob in self._db.execute(query):
-            yield run_id, _unpacked(blob)
+    def _opened_to_read(self) -> sqlite3.Connection:
+        db = sqlite3.connect(f"{self.path.resolve().as_uri()}?mode=ro", uri=True, timeout=10)
+        schema = _schema(db)
+        if schema != SCHEMA:
+            raise StoreError(f"{self.path}: expected schema {SCHEMA}, found {schema}; `nfbench run` can update it")
+        return db
 
-    def _writing(self) -> _Transaction:
-        return _Transaction(self._db, self.path)
-
-
-class _Transaction:
-    """``with`` commits at the end, rolls back on any exception, and tells SQLite's errors in our words."""
-
-    def __init__(self, db: sqlite3.Connection, path: Path) -> None:
-        self._db, self._path = db, path
-
-    def __enter__(self) -> None:
-        self._db.__enter__()
-
-    def __exit__(self, kind: Any, error: Any, trace: Any) -> None:
+    def _opened_to_write(self) -> sqlite3.Connection:
+        assert self._lock is not None
         try:
-            self._db.__exit__(kind, error, trace)
-        except sqlite3.Error as inner:
-            raise StoreError(f"{self._path}: {inner}; finished rows are kept") from inner
-        if isinstance(error, sqlite3.Error):
-            raise StoreError(f"{self._path}: {error}; finished rows are kept") from error
+            self._lock.acquire()
+        except Timeout:
+            raise StoreError(
+                f"{self.folder}: another nfbench is writing here; wait for it, or choose another folder with --out"
+            ) from None
+        try:
+            db = sqlite3.connect(self.path, timeout=10)
+            damage = db.execute("PRAGMA quick_check(1)").fetchone()[0]
+            if damage != "ok":
+                raise StoreError(f"{self.path} is damaged ({damage}); --fresh moves the folder aside and starts anew")
+            # a network file system cannot share the memory that WAL needs
+            db.execute(f"PRAGMA journal_mode = {'DELETE' if network_file_system(self.folder) else 'WAL'}")
+            db.execute("PRAGMA synchronous = FULL")
+            self._bring_up_to_date(db)
+        except BaseException:
+            self._lock.release()
+            raise
+        return db
+
+    def _bring_up_to_date(self, db: sqlite3.Connection) -> None:
+        schema = _schema(db)
+        if schema is not None and not 1 <= schema <= SCHEMA:
+            raise StoreError(f"{self.path}: expected schema 1 to {SCHEMA}, found {schema}; it is of a newer nfbench")
+        for step in range(schema or SCHEMA, SCHEMA):
+            db.executescript(_MIGRATIONS[step])
+        db.executescript(_TABLES)
+        with db:
+            db.execute("REPLACE INTO meta VALUES ('schema', ?)", [str(SCHEMA)])
+
+    @contextlib.contextmanager
+    def _telling(self) -> Iterator[None]:
+        """SQLite's errors in our words."""
+        try:
+            yield
+        except sqlite3.Error as error:
+            raise StoreError(f"{self.path}: {error}") from error
+
+    @contextlib.contextmanager
+    def _writing(self) -> Iterator[None]:
+        """One transaction: committed at the end, undone on any exception."""
+        try:
+            with self._db:
+                yield
+        except sqlite3.Error as error:
+            raise StoreError(f"{self.path}: {error}; the rows written before are kept") from error
 
 
-def _plan_row(number: int, spec: RunSpec) -> tuple[Any, ...]:
+_JOINED = "FROM plan JOIN results USING (run_id) ORDER BY ordinal"
+
+
+class RunsFrame:
+    """Gathers rows of the store into the table of runs, column by column, each distinct text kept once."""
+
+    SELECT = (
+        *("run_id", "scenario", "formulation", "solver", "repetition", "swept", "status", "message", "objective"),
+        *("evaluations", "runtime_s", "cpu_s", "instance_seed", "solver_seed", "method", "scores"),
+    )
+    _TEXT = ("scenario", "formulation", "solver", "swept", "status", "message", "method")
+    _NUMBERS = ("objective", "runtime_s", "cpu_s")
+
+    def __init__(self, study: str) -> None:
+        self._study = study
+        self._columns: dict[str, list[Any]] = {name: [] for name in self.SELECT if name != "scores"}
+        self._scores: dict[str, dict[int, float]] = {}
+        self._texts: dict[str, str] = {}
+
+    def add(self, *row: Any) -> None:
+        """One row, as selected."""
+        number = len(self._columns["run_id"])
+        for name, value in zip(self.SELECT, row, strict=True):
+            if name == "scores":
+                for score, text in json.loads(value).items():
+                    self._scores.setdefault(score, {})[number] = float(text)
+            elif name in self._TEXT:
+                self._columns[name].append(self._texts.setdefault(value, value))
+            elif name in self._NUMBERS:
+                self._columns[name].append(math.nan if value is None else value)
+            else:
+                self._columns[name].append(value)
+
+    def finished(self) -> pd.DataFrame:
+        """The table, its score columns sorted, ``rmse_m`` among the first ones whether it is scored or not."""
+        columns, rows = self._columns, range(len(self._columns["run_id"]))
+        settings = {text: json.loads(text) for text in dict.fromkeys(columns["swept"])}
+        swept = dict.fromkeys(key for setting in settings.values() for key in setting)
+
+        def score(name: str) -> list[float]:
+            found = self._scores.get(name, {})
+            return [found.get(row, math.nan) for row in rows]
+
+        table: dict[str, Any] = {"run_id": columns["run_id"], "study": [self._study] * len(rows)}
+        table |= {name: columns[name] for name in ("scenario", "formulation", "solver", "repetition")}
+        table |= {f"scenario.{key}": [_cell(settings[text].get(key)) for text in columns["swept"]] for key in swept}
+        table |= {name: columns[name] for name in ("status", "message")}
+        table |= {"rmse_m": score("rmse_m")}
+        table |= {name: columns[name] for name in ("objective", "evaluations", "runtime_s", "cpu_s", "instance_seed")}
+        table |= {name: columns[name] for name in ("solver_seed", "method")}
+        table |= {name: score(name) for name in sorted(self._scores, key=_natural) if name != "rmse_m"}
+        return pd.DataFrame(table)
+
+
+def network_file_system(folder: Path) -> str | None:
+    """The type of the network file system that holds ``folder``; None on a local one, or where that is unknown."""
+    try:
+        mounts = [line.split()[1:3] for line in Path("/proc/mounts").read_text(encoding="utf-8").splitlines()]
+    except OSError:
+        return None
+    here = folder.resolve()
+    holding = [(len(point), kind) for point, kind in mounts if here.is_relative_to(point.replace("\\040", " "))]
+    kind = max(holding, default=(0, ""))[1]
+    return kind if re.match(r"nfs|cifs|smb|9p|afs|lustre|gpfs|beegfs|ceph|glusterfs|fuse\.", kind) else None
+
+
+def _schema(db: sqlite3.Connection) -> int | None:
+    """The schema's number; None for a file without tables."""
+    if not db.execute("SELECT COUNT(*) FROM sqlite_master").fetchone()[0]:
+        return None
+    found = db.execute("SELECT value FROM meta WHERE key = 'schema'").fetchone()
+    return int(found[0]) if found else None
+
+
+def _marks(count: int) -> str:
+    return ", ".join("?" * count)
+
+
+def _plan_row(ordinal: int, spec: RunSpec) -> tuple[Any, ...]:
     method = spec.method
     return (
-        number, spec.run_id, spec.point.scenario.label, method.formulation.label,
+        ordinal, spec.run_id, spec.point.scenario.label, method.formulation.label,
         method.solver.label if method.solver else "", method.label, spec.repetition, json.dumps(spec.point.swept),
         spec.instance_seed, spec.solver_seed,
     )  # fmt: skip
 
 
-_COLUMNS = [
-    "run_id", "study", "scenario", "formulation", "solver", "repetition", "status", "message", "rmse_m", "objective",
-    "evaluations", "runtime_s", "cpu_s", "instance_seed", "solver_seed", "method",
-]  # fmt: skip
+def _result_row(record: RunRecord) -> tuple[Any, ...]:
+    scores = {name: repr(score) for name, score in record.scores.items()}  # text: JSON has no inf
+    return (
+        record.run_id, str(record.status), record.message, record.objective, record.evaluations, record.runtime_s,
+        record.cpu_s, json.dumps(scores), json.dumps(record.estimate), _packed(record.traces), record.host,
+        record.worker, time.time(),
+    )  # fmt: skip
 
 
-def _run_row(study: str, row: tuple[Any, ...]) -> dict[str, Any]:
-    (run_id, scenario, formulation, solver, repetition, swept, status, message, objective, evaluations, runtime_s,
-     cpu_s, instance_seed, solver_seed, method, scores) = row  # fmt: skip
-    scores = json.loads(scores)
-    return {
-        "run_id": run_id,
-        "study": study,
-        "scenario": scenario,
-        "formulation": formulation,
-        "solver": solver,
-        "repetition": repetition,
-        **{f"scenario.{key}": _cell(value) for key, value in json.loads(swept).items()},
-        "status": status,
-        "message": message,
-        "rmse_m": scores.pop("rmse_m", np.nan),
-        "objective": np.nan if objective is None else objective,
-        "evaluations": evaluations,
-        "runtime_s": np.nan if runtime_s is None else runtime_s,
-        "cpu_s": np.nan if cpu_s is None else cpu_s,
-        "instance_seed": instance_seed,
-        "solver_seed": solver_seed,
-        "method": method,
-        **scores,
-    }
+def _computed(row: tuple[Any, ...]) -> tuple[Any, ...]:
+    """What two executions of one run must agree in: status, objective, evaluations, scores, estimate."""
+    return (row[1], row[3], row[4], row[7], row[8])
 
 
 def _cell(value: Any) -> Any:
@@ -207,8 +366,15 @@ def _cell(value: Any) -> Any:
     return json.dumps(value) if isinstance(value, list | dict) else value
 
 
+def _natural(name: str) -> list[tuple[int, str]]:
+    """A key that sorts error_10_m behind error_9_m."""
+    return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", name)]
+
+
 def _packed(traces: tuple[Trace, ...]) -> bytes:
     """The traces as one compressed block of arrays."""
+    if not traces:
+        return b""
     buffer = io.BytesIO()
     arrays = {
         f"{name}{i}": getattr(trace, name)
@@ -220,6 +386,8 @@ def _packed(traces: tuple[Trace, ...]) -> bytes:
 
 
 def _unpacked(blob: bytes) -> tuple[Trace, ...]:
+    if not blob:
+        return ()
     with np.load(io.BytesIO(zlib.decompress(blob))) as arrays:
         return tuple(
             Trace(*(arrays[f"{name}{i}"] for name in ("evaluations", "seconds", "values", "points")))

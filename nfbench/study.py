@@ -49,6 +49,7 @@ class Method:
     budget: dict[str, Any] | None
     label: str
     run_timeout_s: float | None = None
+    run_memory_mb: int | None = None
 
 
 @dataclass(frozen=True)
@@ -94,24 +95,42 @@ class Study:
         """The swept keys, in the manifest's order."""
         return list(self.points[0].swept)
 
+    @cached_property
+    def fingerprint(self) -> str:
+        """Tells whether two studies plan the same runs under the same labels."""
+        points = [[point.scenario.label, point.scenario.version, where, point.swept] for point, where in self._points]
+        methods = [
+            [method.label, method.formulation.label, method.solver and method.solver.label, how, _versions(method)]
+            for method, how in self._methods
+        ]
+        return digest([self.seed, self.repetitions, points, methods])
+
     def specs(self) -> Iterator[RunSpec]:
         """Every run, repetitions outermost, so that an unfinished study has compared all methods alike."""
-        points = [(point, digest(point.scenario.identity)) for point in self.points]
-        methods = [(method, _method_digest(method)) for method in self.methods]
-        for repetition in range(self.repetitions):
-            for point, where in points:
-                instance_seed = seed_from("instance", self.seed, where, repetition)
-                for method, how in methods:
-                    parts = (self.seed, where, how, repetition)
-                    yield RunSpec(
-                        run_id=digest([*parts, _versions(point, method)])[:20],
-                        study=self.name,
-                        point=point,
-                        method=method,
-                        repetition=repetition,
-                        instance_seed=instance_seed,
-                        solver_seed=seed_from("solver", *parts),
-                    )
+        return map(self.spec, range(len(self)))
+
+    def spec(self, ordinal: int) -> RunSpec:
+        """The run at this place in the order of ``specs``."""
+        repetition, rest = divmod(ordinal, len(self.points) * len(self.methods))
+        (point, where), (method, how) = self._points[rest // len(self.methods)], self._methods[rest % len(self.methods)]
+        parts = (self.seed, where, how, repetition)
+        return RunSpec(
+            run_id=digest([*parts, [point.scenario.version, *_versions(method)]])[:20],
+            study=self.name,
+            point=point,
+            method=method,
+            repetition=repetition,
+            instance_seed=seed_from("instance", self.seed, where, repetition),
+            solver_seed=seed_from("solver", *parts),
+        )
+
+    @cached_property
+    def _points(self) -> list[tuple[Point, str]]:
+        return [(point, digest(point.scenario.identity)) for point in self.points]
+
+    @cached_property
+    def _methods(self) -> list[tuple[Method, str]]:
+        return [(method, _method_digest(method)) for method in self.methods]
 
 
 def digest(data: Any) -> str:
@@ -130,6 +149,5 @@ def _method_digest(method: Method) -> str:
     return digest([method.formulation.identity, solver, method.budget])
 
 
-def _versions(point: Point, method: Method) -> list[str]:
-    choices = [point.scenario, method.formulation, method.solver]
-    return [choice.version for choice in choices if choice]
+def _versions(method: Method) -> list[str]:
+    return [choice.version for choice in (method.formulation, method.solver) if choice]

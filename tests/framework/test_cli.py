@@ -104,9 +104,16 @@ def test_ctrl_c_is_exit_code_130_and_the_folder_resumes(manifest, tmp_path):
     while time.monotonic() < deadline and "ok 1" not in nfbench("status", "results/toy", cwd=tmp_path).stdout:
         time.sleep(0.2)
     os.killpg(process.pid, signal.SIGINT)
+    time.sleep(1)
+    assert process.poll() is None  # the run in flight goes on
+    os.killpg(process.pid, signal.SIGINT)
     output, errors = process.communicate(timeout=30)
     assert process.returncode == 130, errors
-    assert "Interrupted with 1 runs to do" in output and "Traceback" not in errors
+    assert (
+        "Ctrl-C again stops at once" in output
+        and "Interrupted with 1 runs to do" in output
+        and "Traceback" not in errors
+    )
     assert rows.is_file()
     again = nfbench("run", manifest(BASIC, repetitions=1), cwd=tmp_path)
     assert again.returncode == 0

@@ -76,7 +76,9 @@ def test_an_interrupted_study_keeps_its_rows_and_goes_on(manifest, tmp_path):
     class Stop:
         def begin(self, total, done): ...
 
-        def finished(self, record):
+        def stopping(self): ...
+
+        def finished(self, spec, record):
             raise KeyboardInterrupt
 
     whole = run(manifest(BASIC), tmp_path / "whole")
@@ -157,7 +159,7 @@ def test_failed_runs_are_made_again_only_when_asked(manifest, tmp_path):
 
 def test_a_folder_of_another_study_is_refused_and_fresh_moves_it_aside(manifest, tmp_path):
     run(manifest(BASIC), tmp_path / "out")
-    with pytest.raises(StoreError, match="seed '1' there, '2' asked for"):
+    with pytest.raises(StoreError, match="seed is '1' there, '2' was asked for"):
         run(manifest(BASIC, seed=2), tmp_path / "out")
     run(manifest(BASIC, seed=2), tmp_path / "out", fresh=True)
     (old,) = tmp_path.glob("out.2*")

@@ -1,0 +1,83 @@
+"""What happens in a worker process: one run after another, each behind a wall."""
+
+from __future__ import annotations
+
+import contextlib
+import faulthandler
+import os
+import signal
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+from threadpoolctl import threadpool_limits
+
+from .execute import RunRecord, execute
+from .registry import Registry
+from .study import RunSpec
+
+__all__ = ["last_words", "start", "work"]
+
+_registry: Registry | None = None
+
+THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+TAIL = 400  # characters of a dead worker's output that are kept
+
+
+def start(plugins: tuple[str | Path, ...], folder: str) -> None:
+    """Once a process: leave Ctrl-C to the parent, send output to a file in ``folder``, pin threads, import plugins."""
+    global _registry
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)  # the default dies at once, also in native code
+    output = os.open(_output(folder, os.getpid()), os.O_CREAT | os.O_RDWR | os.O_APPEND | os.O_TRUNC, 0o600)
+    for stream in (1, 2):
+        os.dup2(output, stream)
+    sys.stdout = os.fdopen(1, "w", buffering=1, encoding="utf-8", errors="replace", closefd=False)
+    sys.stderr = os.fdopen(2, "w", buffering=1, encoding="utf-8", errors="replace", closefd=False)
+    faulthandler.enable(2)
+    for name in THREAD_VARIABLES:  # for libraries loaded from here on; those that are loaded already, below
+        os.environ[name] = "1"
+    _registry = Registry(plugins)
+    threadpool_limits(1)  # one BLAS thread: the same sums, bit for bit, on any number of workers
+
+
+def work(spec: RunSpec) -> RunRecord:
+    """Execute one run; its output starts an empty file, so that the file never holds more than one run's."""
+    assert _registry is not None
+    os.ftruncate(1, 0)
+    with _memory_limit(spec.method.run_memory_mb):
+        return execute(spec, _registry)
+
+
+def last_words(folder: str, pid: int | None) -> str:
+    """The end of what a dead worker printed, in one line; its file is removed."""
+    path = _output(folder, pid or 0)
+    try:
+        text = path.read_bytes()[-20_000:].decode("utf-8", errors="replace")
+    except OSError:
+        return ""
+    path.unlink(missing_ok=True)
+    lines = [line.strip() for line in text.splitlines()]
+    told = [line for line in lines if line and not line.startswith(("Extension modules:", "Current thread", "Thread"))]
+    return " | ".join(told)[-TAIL:] if "Fatal Python error" not in text else " | ".join(told)[:TAIL]
+
+
+def _output(folder: str, pid: int) -> Path:
+    return Path(folder) / f"worker-{pid}.log"
+
+
+@contextlib.contextmanager
+def _memory_limit(megabytes: int | None) -> Iterator[None]:
+    """Within this context the process may take that much more address space; beyond it allocations fail."""
+    if megabytes is None:
+        yield
+        return
+    import resource
+
+    pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
+    soft, hard = resource.getrlimit(resource.RLIMIT_AS)
+    resource.setrlimit(resource.RLIMIT_AS, (pages * resource.getpagesize() + megabytes * 2**20, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
