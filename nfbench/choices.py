@@ -64,7 +64,7 @@ class Chooser:
         try:
             plugin = self.registry.find(kind, name)
         except PluginError as error:
-            if not self.registry.broken:
+            if not self.registry.broken or "did you mean" in str(error):
                 problems.add(f"{path}.kind", str(error))
                 return None
             why = "; ".join(f"plugin {file.name}: {text}" for file, text in self.registry.broken.items())

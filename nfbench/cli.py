@@ -11,6 +11,7 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
+from . import __version__
 from .budget import Status
 from .errors import NfbenchError
 
@@ -18,7 +19,6 @@ app = typer.Typer(
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
-    help="Which optimizer, on which formulation, localizes near-field sources best for what you can spend?",
 )
 check_app = typer.Typer(no_args_is_help=True, help="Run the conformance checks on a plugin.")
 app.add_typer(check_app, name="check")
@@ -45,6 +45,16 @@ class One(StrEnum):
     SCENARIO = "scenario"
 
 
+@app.callback(invoke_without_command=True)
+def about(
+    version: Annotated[bool, typer.Option("--version", help="Print the version and stop.")] = False,
+) -> None:
+    """Which optimizer, on which formulation, localizes near-field sources best for what you can spend?"""
+    if version:
+        typer.echo(f"nfbench {__version__}")
+        raise typer.Exit
+
+
 def main() -> None:
     """The entry point: every error of ours is a message and an exit code, never a traceback."""
     try:
@@ -68,6 +78,7 @@ def run(
     out: Annotated[Path | None, typer.Option(help="The results folder (default: results/<name>).")] = None,
     jobs: Annotated[int | None, typer.Option(min=0, help="Worker processes (default: one a core; 0: none).")] = None,
     plugin: Plugins = None,
+    shard: Annotated[str | None, typer.Option(metavar="K/N", help="Make only the K-th of N parts, for merge.")] = None,
     fresh: Annotated[bool, typer.Option("--fresh", help="Move an old results folder aside and start anew.")] = False,
     retry: Annotated[list[Status] | None, typer.Option(help="Make the runs of this status again.")] = None,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress and no table, only errors.")] = False,
@@ -79,6 +90,7 @@ def run(
     from .results import Results
     from .results import run as run_study
 
+    part = _shard(shard)
     loaded = load_study(study, plugin or ())
     console = _console()
     for warning in loaded.warnings:
@@ -87,30 +99,83 @@ def run(
     progress = Quiet() if quiet else (LiveView if console.is_terminal else Lines)(console, loaded.error)
     try:
         with progress:
-            results = run_study(loaded, out=folder, jobs=jobs, fresh=fresh, retry=retry or (), listener=progress)
+            results = run_study(
+                loaded, out=folder, jobs=jobs, shard=part, fresh=fresh, retry=retry or (), listener=progress
+            )
     except KeyboardInterrupt:
         counts = Results(folder).counts
         left = counts.get("open", 0)
         console.print(f"Interrupted with {left} runs to do; the same command goes on from here.")
         raise typer.Exit(INTERRUPTED) from None
-    if not quiet:
+    if quiet:
+        for status_, method, count, message in _failures(folder):
+            typer.echo(f"nfbench: {status_} × {count}: {method}: {message}", err=True)
+    else:
         print_report(results, console)
         names = ("runs.csv", "summary.csv", "environment.json", "runs.sqlite")
         console.print(f"\nWritten to {folder}/: {', '.join(names)}", soft_wrap=True)
     raise typer.Exit(OK if set(results.counts) <= {Status.OK} else NOT_ALL_OK)
 
 
+def _failures(folder: Path) -> list[tuple[str, str, int, str]]:
+    from .store import Store
+
+    with Store(folder) as store:
+        return store.failures()
+
+
+def _shard(text: str | None) -> tuple[int, int] | None:
+    """``3/10`` as (3, 10)."""
+    if text is None:
+        return None
+    parts = text.split("/")
+    if len(parts) == 2 and all(part.isdecimal() for part in parts) and 1 <= int(parts[0]) <= int(parts[1]):
+        return int(parts[0]), int(parts[1])
+    raise typer.BadParameter(f"expected K/N with 1 <= K <= N, e.g. 3/10, got {text!r}", param_hint="--shard")
+
+
 @app.command()
 def status(folder: Folder) -> None:
-    """How far a study is: runs by status."""
-    from .results import Results
+    """How far a study is, also while it runs: runs by status, rate, time left, and what is not ok."""
+    from .store import Store
 
-    counts = Results(folder).counts
-    total = sum(counts.values())
-    typer.echo(f"{total - counts.get('open', 0)} of {total} runs done")
+    with Store(folder) as store:
+        counts, rate = store.counts(), store.rate()
+    total, left = sum(counts.values()), counts.get("open", 0)
+    typer.echo(f"{total - left} of {total} runs done")
+    if left and rate:
+        typer.echo(f"{rate:.3g} runs/s lately; at that rate {left / rate:.0f} s left")
     for name in [*Status, "open"]:
         if name in counts:
             typer.echo(f"{name:>8} {counts[name]}")
+    for status_, method, count, message in _failures(folder):
+        typer.echo(f"{status_} × {count}: {method}: {message}")
+
+
+@app.command()
+def merge(
+    folders: Annotated[list[Path], typer.Argument(metavar="DIR...", help="Folders of one study, e.g. its shards.")],
+    out: Annotated[Path, typer.Option(help="The folder to join them in.")],
+) -> None:
+    """Join the folders of one study, such as its shards, in one; refuses what contradicts."""
+    from .merge import merge as merge_folders
+
+    counts = merge_folders(folders, out).counts
+    total = sum(counts.values())
+    typer.echo(f"{out}: {total - counts.get('open', 0)} of {total} runs, from {len(folders)} folders")
+
+
+@app.command()
+def compare(
+    first: Annotated[Path, typer.Argument(metavar="DIR")], second: Annotated[Path, typer.Argument(metavar="DIR")]
+) -> None:
+    """Say which runs of two folders of one study differ, by how much, and whether it matters."""
+    from .merge import compare as compare_folders
+    from .report import print_comparison
+
+    found = compare_folders(first, second)
+    print_comparison(found, _console())
+    raise typer.Exit(NOT_ALL_OK if found.matters else OK)
 
 
 @app.command()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import platform
 import subprocess
@@ -12,11 +13,23 @@ from typing import Any
 
 from threadpoolctl import threadpool_info
 
+from .worker import THREAD_VARIABLES
+
 __all__ = ["describe_environment"]
 
 # everything that can change a number
-LIBRARIES = ("nfbench", "numpy", "scipy", "nlopt", "cma", "pandas", "pydantic", "threadpoolctl")
-THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+LIBRARIES = (
+    "nfbench",
+    "numpy",
+    "scipy",
+    "nlopt",
+    "cma",
+    "pandas",
+    "pydantic",
+    "threadpoolctl",
+    "pebble",
+    "distributed",
+)
 
 
 def describe_environment(plugins: Iterable[str | Path] = ()) -> dict[str, Any]:
@@ -37,7 +50,7 @@ def describe_environment(plugins: Iterable[str | Path] = ()) -> dict[str, Any]:
             **{name: os.environ[name] for name in THREAD_VARIABLES if name in os.environ},
         },
         "git": _git_state(Path(__file__).parent),
-        "plugins": [Path(file).name for file in plugins],
+        "plugins": {Path(file).name: hashlib.sha256(Path(file).read_bytes()).hexdigest() for file in plugins},
     }
 
 

@@ -200,8 +200,10 @@ def _explain(name: str, error: ValidationError) -> list[tuple[str, str]]:
         path = name + "".join(f"[{part}]" for part in item["loc"] if isinstance(part, int))
         if item["type"] == "string_pattern_mismatch":
             item["msg"] = f"text that matches {item['ctx']['pattern']}"
+        if item["type"] in ("too_long", "too_short"):
+            item["msg"] = "a list of another length: " + item["msg"].split("should have ")[1].split(" after")[0]
         expected = item["msg"].removeprefix("Input should be ").removeprefix("a valid ").replace("tuple", "list")
-        came = item["input"]
+        came = list(item["input"]) if isinstance(item["input"], tuple) else item["input"]
         text = str(inner) if inner is not None else f"expected {expected}, got {came!r}"
         problems.setdefault(path, []).append(text)
     return [(path, _joined(texts)) for path, texts in problems.items()]

@@ -14,15 +14,17 @@ from rich.markup import escape
 from rich.table import Table
 
 from .budget import Status
+from .merge import Comparison
 from .results import Results
 from .tables import default_groups
 
-__all__ = ["print_report", "verdict"]
+__all__ = ["print_comparison", "print_report", "verdict"]
 
 MIN_PAIRS = 6  # with fewer pairs no two-sided test at 5 % can tell two methods apart: 2·(1/2)⁶ = 0.03
 RESAMPLES = 4000
 LEVEL = 0.02  # of the best mean square error: a difference below this is none
-WIDE = 100  # columns of a terminal that takes the whole table
+SHOWN = 20  # differing rows that are printed
+DISPENSABLE = ("90 %", "runs", "off by", "95 % interval", "evals")  # left out first where a terminal is narrow
 
 
 def print_report(results: Results, console: Console) -> None:
@@ -35,9 +37,12 @@ def print_report(results: Results, console: Console) -> None:
         console.print(f"\n[bold]{escape(meta['title'])}[/bold]")
     if meta["expect"]:
         console.print(f"[dim]Expected: {escape(meta['expect'])}[/dim]")
+    left = results.counts.get("open", 0)
+    if left:
+        console.print(f"[yellow]Unfinished: {left} of {left + len(runs)} runs are still to do.[/yellow]")
     for where, rows, at in _by_point(summary, runs):
         console.print()
-        console.print(_table(where, rows, meta["error"], float(meta["outlier_m"]), narrow=console.width < WIDE))
+        console.print(_table(where, rows, meta["error"], float(meta["outlier_m"]), console))
         console.print(escape(verdict(at, meta["error"])))
     _print_failures(runs, console)
 
@@ -45,39 +50,66 @@ def print_report(results: Results, console: Console) -> None:
 def verdict(runs: pd.DataFrame, error: str) -> str:
     """Which method has the smallest error over these runs, and which of the others it cannot be told from.
 
-    Methods are compared on the instances they share: another method counts as worse where the 95 % bootstrap interval
-    of its paired excess in squared error lies above 2 % of the best mean square, which is 1 % of the RMSE.
+    Only the methods with the fewest failures can be named. Each other method is compared with the one named on the
+    instances they share: it counts as worse where the 95 % bootstrap interval of its paired excess in squared error
+    lies above 2 % of the best mean square, which is 1 % of the RMSE.
     """
     ok = runs[runs["status"] == Status.OK]
     if ok.empty or error not in ok.columns:
         return "No run ended with an estimate."
     squares = ok.assign(square=ok[error] ** 2).pivot(index="repetition", columns="method", values="square")
-    best = squares.mean().idxmin()
+    done = squares.count()
+    best = squares.mean()[done == done.max()].idxmin()
     unit = " m" if error.endswith("_m") else ""
     found = f"{best} has the smallest error here ({math.sqrt(squares[best].mean()):.3g}{unit} root mean square"
     others = [method for method in squares.columns if method != best]
+    pairs = int(done.max())
     if not others:
         return f"{found})."
-    pairs = int(squares.dropna().shape[0])
     if pairs < MIN_PAIRS:
         return (
-            f"{found}), but {pairs} shared {'repetition does' if pairs == 1 else 'repetitions do'} not rank methods: "
+            f"{found}), but {pairs} {'repetition does' if pairs == 1 else 'repetitions do'} not rank methods: "
             f"set repetitions to {MIN_PAIRS} or more, better 100."
         )
-    level = [method for method in others if not _worse(squares[method], squares[best])]
-    test = "(95\u00a0% paired bootstrap)"
-    if not level:
-        return f"{found}, {pairs} repetitions), and every other method is worse by more than 1\u00a0% {test}."
-    return f"{found}, {pairs} repetitions); not told from it: {', '.join(level)} {test}."
+    few = [method for method in others if len((squares[method] - squares[best]).dropna()) < MIN_PAIRS]
+    level = [method for method in others if method not in few and not _worse(squares[method], squares[best])]
+    told = f"not told from it: {', '.join(level)}" if level else "every other method is worse by more than 1\u00a0%"
+    if few:
+        told += f"; too rarely ok to compare: {', '.join(few)}"
+    return f"{found}, {pairs} repetitions); {told} (95\u00a0% paired bootstrap)."
 
 
 def _worse(squares: pd.Series[float], best: pd.Series[float]) -> bool:
     excess = (squares - best).dropna().to_numpy()
-    if len(excess) < MIN_PAIRS:
-        return False
     rng = np.random.default_rng(0)
     means = [excess[rng.integers(len(excess), size=len(excess))].mean() for _ in range(RESAMPLES)]
     return bool(np.quantile(means, 0.025) > LEVEL * best.mean())
+
+
+def print_comparison(found: Comparison, console: Console) -> None:
+    """Print how two folders differ, the rows that differ most, and what it does to the methods' errors."""
+    console.print(
+        f"{found.equal} runs are identical, {found.rounding} within rounding (1e-9), {len(found.rows)} differ; "
+        f"{found.only_first} are only in the first folder, {found.only_second} only in the second."
+    )
+    if len(found.rows):
+        console.print(_frame(found.rows.sort_values("change", ascending=False).head(SHOWN)))
+        if len(found.rows) > SHOWN:
+            console.print(f"… and {len(found.rows) - SHOWN} more")
+        console.print(_frame(found.methods))
+    if found.matters:
+        console.print("It matters: runs are missing, a status changed, or an error left its 95\u00a0% interval.")
+    else:
+        console.print("It does not matter: every error stays within its 95\u00a0% interval." if len(found.rows) else "")
+
+
+def _frame(frame: pd.DataFrame) -> Table:
+    table = Table(box=SIMPLE_HEAD, pad_edge=False)
+    for name in frame.columns:
+        table.add_column(str(name), overflow="fold")
+    for row in frame.itertuples(index=False):
+        table.add_row(*(f"{cell:.6g}" if isinstance(cell, float) else escape(str(cell)) for cell in row))
+    return table
 
 
 def _by_point(summary: pd.DataFrame, runs: pd.DataFrame) -> Iterator[tuple[str, pd.DataFrame, pd.DataFrame]]:
@@ -92,8 +124,8 @@ def _by_point(summary: pd.DataFrame, runs: pd.DataFrame) -> Iterator[tuple[str, 
         yield where, rows, runs[here]
 
 
-def _table(where: str, rows: pd.DataFrame, error: str, outlier_m: float, *, narrow: bool) -> Table:
-    """The rows of one scenario point, best first; a narrow terminal gets fewer columns."""
+def _table(where: str, rows: pd.DataFrame, error: str, outlier_m: float, console: Console) -> Table:
+    """The rows of one scenario point, best first, with as many columns as the console is wide."""
     metres = error == "rmse_m"
     name, unit = ("RMSE", "m") if metres else (f"RMS {error}", "")
     median, q90 = ("median_m", "q90_m") if metres else (f"{error}_median", f"{error}_q90")
@@ -108,14 +140,23 @@ def _table(where: str, rows: pd.DataFrame, error: str, outlier_m: float, *, narr
         "runs": ("", lambda row: str(row["runs"])),
         "failed": ("", lambda row: f"[red]{row['failed']}[/red]" if row["failed"] else "0"),
     }
-    left_out = {"90 %", "off by", "runs"} if narrow else set() if metres else {"off by"}
-    shown = {head: column for head, column in columns.items() if head not in left_out}
+    if not metres:
+        del columns["off by"]
+    while True:
+        table = _drawn(where, rows.sort_values(error, na_position="last"), columns)
+        narrower = [head for head in DISPENSABLE if head in columns]
+        if console.measure(table).maximum <= console.width or not narrower:
+            return table
+        del columns[narrower[0]]
+
+
+def _drawn(where: str, rows: pd.DataFrame, columns: dict[str, tuple[str, Callable[[Any], str]]]) -> Table:
     table = Table(title=where or None, title_justify="left", title_style="bold", box=SIMPLE_HEAD, pad_edge=False)
-    table.add_column("method\n", overflow="fold", min_width=16)
-    for head, (measure, _) in shown.items():
+    table.add_column("method\n", overflow="fold")
+    for head, (measure, _) in columns.items():
         table.add_column(f"{head}\n{measure}", justify="right", no_wrap=True)
-    for row in rows.sort_values(error, na_position="last").to_dict("records"):
-        table.add_row(escape(str(row["method"])), *(cell(row) for _, cell in shown.values()))
+    for row in rows.to_dict("records"):
+        table.add_row(escape(str(row["method"])), *(cell(row) for _, cell in columns.values()))
     return table
 
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
+import multiprocessing
 import os
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
@@ -14,7 +16,7 @@ import pandas as pd
 
 from .engine import Batches, run_specs
 from .environment import describe_environment
-from .errors import StoreError
+from .errors import NfbenchError, StoreError
 from .execute import RunRecord
 from .interrupts import Interrupts
 from .log import logging_to
@@ -46,6 +48,9 @@ class Results:
     """
 
     folder: Path
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "folder", Path(self.folder))
 
     @property
     def runs(self) -> pd.DataFrame:
@@ -131,6 +136,8 @@ def run(
     Raises StoreError where the folder cannot be used, has another writer or belongs to another study; KeyboardInterrupt
     after SIGINT or SIGTERM, with the runs in flight finished and a folder that resumes.
     """
+    if getattr(multiprocessing.current_process(), "_inheriting", False):  # a worker that imports the caller's script
+        raise NfbenchError('a script that calls nfbench.run must do so below `if __name__ == "__main__":`')
     folder = Path("results") / study.name if out is None else Path(out)
     jobs = os.cpu_count() or 1 if jobs is None else jobs
     _prepare(folder, fresh)
@@ -191,10 +198,11 @@ def _prepare(folder: Path, fresh: bool) -> None:
 
 def _write(path: Path, write: Callable[[Path], object]) -> None:
     """Write a file whole or not at all. Raises StoreError, and the old file stays, where that fails."""
-    draft = path.with_name(f".{path.name}.draft")
+    draft = path.with_name(f".{path.name}.{os.getpid()}")
     try:
         write(draft)
         draft.replace(path)
     except OSError as error:
-        draft.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):
+            draft.unlink()
         raise StoreError(f"{path}: {error.strerror or error}; finished rows are kept in runs.sqlite") from error

@@ -27,6 +27,7 @@ __all__ = ["RunsFrame", "Store", "network_file_system"]
 
 FILE = "runs.sqlite"
 SCHEMA = 2
+MOUNTS = Path("/proc/mounts")
 _TABLES = """
 CREATE TABLE IF NOT EXISTS meta (key TEXT PRIMARY KEY, value TEXT NOT NULL) WITHOUT ROWID;
 CREATE TABLE IF NOT EXISTS plan (
@@ -317,7 +318,7 @@ class RunsFrame:
 def network_file_system(folder: Path) -> str | None:
     """The type of the network file system that holds ``folder``; None on a local one, or where that is unknown."""
     try:
-        mounts = [line.split()[1:3] for line in Path("/proc/mounts").read_text(encoding="utf-8").splitlines()]
+        mounts = [line.split()[1:3] for line in MOUNTS.read_text(encoding="utf-8").splitlines()]
     except OSError:
         return None
     here = folder.resolve()

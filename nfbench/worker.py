@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import faulthandler
 import os
 import signal
 import sys
 from collections.abc import Iterator
+from multiprocessing.connection import Connection
 from pathlib import Path
 
 from threadpoolctl import threadpool_limits
@@ -16,7 +18,7 @@ from .execute import RunRecord, execute
 from .registry import Registry
 from .study import RunSpec
 
-__all__ = ["last_words", "start", "work"]
+__all__ = ["last_words", "serve"]
 
 _registry: Registry | None = None
 
@@ -24,9 +26,22 @@ THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"
 TAIL = 400  # characters of a dead worker's output that are kept
 
 
+def serve(pipe: Connection, plugins: tuple[str | Path, ...], folder: str) -> None:
+    """A worker's life: say that it is ready, then take a spec and give back its record until there are none."""
+    start(plugins, folder)
+    pipe.send(None)
+    while True:
+        try:
+            spec = pipe.recv()
+        except EOFError:
+            return
+        pipe.send(work(spec))
+
+
 def start(plugins: tuple[str | Path, ...], folder: str) -> None:
     """Once a process: leave Ctrl-C to the parent, send output to a file in ``folder``, pin threads, import plugins."""
     global _registry
+    _die_with_parent()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)  # the default dies at once, also in native code
     output = os.open(_output(folder, os.getpid()), os.O_CREAT | os.O_RDWR | os.O_APPEND | os.O_TRUNC, 0o600)
@@ -60,6 +75,12 @@ def last_words(folder: str, pid: int | None) -> str:
     lines = [line.strip() for line in text.splitlines()]
     told = [line for line in lines if line and not line.startswith(("Extension modules:", "Current thread", "Thread"))]
     return " | ".join(told)[-TAIL:] if "Fatal Python error" not in text else " | ".join(told)[:TAIL]
+
+
+def _die_with_parent() -> None:
+    """On Linux, have the kernel kill this process when the one that started it is gone, however it went."""
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG
 
 
 def _output(folder: str, pid: int) -> Path:

@@ -136,7 +136,7 @@ def _load(path: Path) -> ndarray:
     try:
         if path.suffix == ".npy":
             return np.asarray(np.load(path, allow_pickle=False), dtype=np.float64)
-        lines = [line for line in path.read_text(encoding="utf-8").splitlines() if line.strip()]
+        lines = [line for line in path.read_text(encoding="utf-8-sig").splitlines() if line.strip()]
         return np.array([[float(cell) for cell in line.split(",")] for line in lines])
     except (ValueError, TypeError, EOFError) as error:
         raise ValueError(f"file {path.name}: expected rows of three numbers: {error}") from error

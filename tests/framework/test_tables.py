@@ -74,6 +74,18 @@ def test_the_verdict_ranks_only_what_the_pairs_can_tell():
     text = verdict(runs, "rmse_m")
     assert text.startswith("best has the smallest error here") and "not told from it: level (" in text
     few = verdict(runs[runs.repetition < 3], "rmse_m")
-    assert "3 shared repetitions do not rank methods" in few
+    assert "3 repetitions do not rank methods" in few
     assert "every other method is worse" in verdict(runs[runs.method != "level"], "rmse_m")
     assert verdict(frame([np.nan], status="failed"), "rmse_m") == "No run ended with an estimate."
+
+
+def test_a_method_that_fails_where_it_is_hard_is_not_named_best():
+    hard = np.repeat([0.1, 10.0], 6)
+    fragile = frame(0.3 * hard, "fragile")
+    fragile.loc[6:, ["status", "rmse_m"]] = ["failed", np.nan]
+    text = verdict(pd.concat([frame(hard, "solid"), fragile]), "rmse_m")
+    assert text.startswith("solid has the smallest error here") and "not told from it: fragile" in text
+    rare = frame(hard, "rare")
+    rare.loc[3:, ["status", "rmse_m"]] = ["failed", np.nan]
+    text = verdict(pd.concat([frame(hard, "solid"), frame(2 * hard, "double"), rare]), "rmse_m")
+    assert "every other method is worse by more than 1\u00a0%; too rarely ok to compare: rare" in text

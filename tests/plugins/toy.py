@@ -1,7 +1,9 @@
 """A scenario, formulations and solvers small enough to reason about, for the tests of the framework."""
 
+import ctypes
 import math
 import os
+import signal
 import time
 from dataclasses import dataclass
 from typing import Annotated, ClassVar
@@ -154,3 +156,49 @@ class Crashes(Solver):
 class Sleeps(Solver):
     def minimize(self, problem, rng):
         time.sleep(3600)
+
+
+@dataclass(frozen=True)
+class Spins(Solver):
+    """A loop in C that sees no Python signal handler."""
+
+    def minimize(self, problem, rng):
+        sum(range(10**15))
+
+
+@dataclass(frozen=True)
+class Stubborn(Solver):
+    """Will not be asked to end."""
+
+    def minimize(self, problem, rng):
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)
+        time.sleep(3600)
+
+
+@dataclass(frozen=True)
+class Segfaults(Solver):
+    def minimize(self, problem, rng):
+        ctypes.string_at(0)
+
+
+@dataclass(frozen=True)
+class Hoards(Solver):
+    def minimize(self, problem, rng):
+        held = []
+        while True:
+            held.append(bytearray(2**24))
+
+
+@dataclass(frozen=True)
+class Shouts(Solver):
+    def minimize(self, problem, rng):
+        for _ in range(3000):
+            print("x" * 1000)
+        os.write(2, b"y" * 10**6)
+        problem(problem.lower)
+
+
+@dataclass(frozen=True)
+class AsksForNaN(Solver):
+    def minimize(self, problem, rng):
+        problem(np.full(problem.dimension, math.nan))
