@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import dataclasses
 import inspect
+import math
+import re
 import typing
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from .errors import PluginError
-from .options import build
+from .options import OneOf, build, canonical
 from .registry import Registry
 from .solver import Solver
 
@@ -49,14 +52,12 @@ def print_plugin(registry: Registry, kind: str, name: str, console: Console) -> 
             value = getattr(cls.info, field.name)
             if value not in ("", None):
                 console.print(f"  {field.name}: {value}", markup=False)
-    table = Table(title="options", title_justify="left", title_style="bold")
-    for head in ("name", "type", "default"):
-        table.add_column(head, overflow="fold")
-    hints = typing.get_type_hints(cls, include_extras=True)
-    for option in dataclasses.fields(cls):
-        table.add_row(option.name, _type(hints[option.name]), _default(option))
-    if table.row_count:
-        console.print(table)
+    _print_options("options", cls, console)
+    for name, hint in typing.get_type_hints(cls, include_extras=True).items():
+        for mark in _marks(hint):
+            if isinstance(mark, OneOf):
+                for kind_, choice in mark.classes.items():
+                    _print_options(f'{name} = {{ kind = "{kind_}", … }}', choice, console)
 
 
 def solvers_named(name: str, plugins: Iterable[Path] = ()) -> Iterator[tuple[str, Solver]]:
@@ -72,6 +73,18 @@ def solvers_named(name: str, plugins: Iterable[Path] = ()) -> Iterator[tuple[str
             raise PluginError(f"{name}: expected a class derived from nfbench.Solver, found none")
     for solver in names:
         yield solver, typing.cast(Solver, build(registry.find("solver", solver).resolve(), {}))
+
+
+def _print_options(title: str, cls: type, console: Console) -> None:
+    """A table of the options of one class."""
+    table = Table(title=escape(title), title_justify="left", title_style="bold")
+    for head in ("name", "type", "default"):
+        table.add_column(head, overflow="fold")
+    hints = typing.get_type_hints(cls, include_extras=True)
+    for option in dataclasses.fields(cls):
+        table.add_row(option.name, escape(_type(hints[option.name])), escape(_default(option)))
+    if table.row_count:
+        console.print(table)
 
 
 _HEADS = {
@@ -97,15 +110,22 @@ def _row(kind: str, cls: Any) -> list[str]:
 def _doc(cls: type) -> str:
     """The class's own docstring, not the signature that a dataclass makes up for want of one."""
     doc = inspect.getdoc(cls) or ""
-    return "" if doc.startswith(f"{cls.__name__}(") else doc
+    if doc.startswith(f"{cls.__name__}("):
+        return ""
+    # lines that only wrap are joined, so that the terminal can wrap them; paragraphs, lists and "name: …" start anew
+    return re.sub(r"(?<=\S)\n(?![\n\s]|\w[\w, ]*: )", " ", doc)
 
 
 def _type(hint: Any) -> str:
     """A field's type as a reader of a manifest needs it: ``int >= 4``, ``"clip" | "resample"``."""
-    if typing.get_origin(hint) is typing.Annotated:
-        inner, *marks = typing.get_args(hint)
+    if marks := _marks(hint):
+        if isinstance(marks[0], OneOf):
+            return "table of kind " + " | ".join(marks[0].classes)
         limits = [_limit(mark) for mark in marks]
-        return " ".join([_type(inner), *filter(None, limits)])
+        return " ".join([_type(typing.get_args(hint)[0]), *filter(None, limits)])
+    if typing.get_origin(hint) is tuple:
+        parts = [_type(part) for part in typing.get_args(hint) if part is not ...]
+        return f"[{', '.join(parts)}{', …' if ... in typing.get_args(hint) else ''}]"
     if typing.get_origin(hint) is typing.Literal:
         return " | ".join(repr(choice) for choice in typing.get_args(hint))
     if typing.get_args(hint) and typing.get_origin(hint) not in (tuple, list, dict):
@@ -113,14 +133,24 @@ def _type(hint: Any) -> str:
     return hint.__name__ if isinstance(hint, type) and not typing.get_args(hint) else str(hint).replace("typing.", "")
 
 
+def _marks(hint: Any) -> tuple[Any, ...]:
+    """What ``Annotated`` says beside the type."""
+    return typing.get_args(hint)[1:] if typing.get_origin(hint) is typing.Annotated else ()
+
+
 def _limit(mark: Any) -> str:
     for sign, attribute in ((">=", "ge"), (">", "gt"), ("<=", "le"), ("<", "lt")):
-        if hasattr(mark, attribute):
+        if abs(getattr(mark, attribute, math.inf)) < math.inf:
             return f"{sign} {getattr(mark, attribute)}"
     return ""
 
 
 def _default(option: dataclasses.Field[Any]) -> str:
     if option.default is not dataclasses.MISSING:
-        return "none" if option.default is None else str(option.default)
-    return "required" if option.default_factory is dataclasses.MISSING else str(option.default_factory())
+        value = option.default
+    elif option.default_factory is dataclasses.MISSING:
+        return "required"
+    else:
+        value = option.default_factory()
+    plain = canonical(value)
+    return "none" if value is None else plain["kind"] if isinstance(plain, dict) and "kind" in plain else str(plain)

@@ -77,6 +77,8 @@ def run(
     study: Annotated[Path, typer.Argument(metavar="STUDY.toml", help="The manifest of the study.")],
     out: Annotated[Path | None, typer.Option(help="The results folder (default: results/<name>).")] = None,
     jobs: Annotated[int | None, typer.Option(min=0, help="Worker processes (default: one a core; 0: none).")] = None,
+    cluster: Annotated[str | None, typer.Option(metavar="local:N", help="Start a cluster of N here.")] = None,
+    scheduler: Annotated[str | None, typer.Option(metavar="ADDRESS", help="A dask scheduler to run on.")] = None,
     plugin: Plugins = None,
     shard: Annotated[str | None, typer.Option(metavar="K/N", help="Make only the K-th of N parts, for merge.")] = None,
     fresh: Annotated[bool, typer.Option("--fresh", help="Move an old results folder aside and start anew.")] = False,
@@ -91,6 +93,7 @@ def run(
     from .results import run as run_study
 
     part = _shard(shard)
+    where = _where(cluster, scheduler, jobs)
     loaded = load_study(study, plugin or ())
     console = _console()
     for warning in loaded.warnings:
@@ -100,7 +103,14 @@ def run(
     try:
         with progress:
             results = run_study(
-                loaded, out=folder, jobs=jobs, shard=part, fresh=fresh, retry=retry or (), listener=progress
+                loaded,
+                out=folder,
+                jobs=jobs,
+                cluster=where,
+                shard=part,
+                fresh=fresh,
+                retry=retry or (),
+                listener=progress,
             )
     except KeyboardInterrupt:
         counts = Results(folder).counts
@@ -122,6 +132,19 @@ def _failures(folder: Path) -> list[tuple[str, str, int, str]]:
 
     with Store(folder) as store:
         return store.failures()
+
+
+def _where(cluster: str | None, scheduler: str | None, jobs: int | None) -> str | None:
+    """The address of the cluster to run on; None for this machine's own workers."""
+    options = {"--cluster": cluster, "--scheduler": scheduler, "--jobs": jobs}
+    given = [name for name, value in options.items() if value is not None]
+    if len(given) > 1:
+        raise typer.BadParameter("say where to run by one of them", param_hint=" and ".join(given))
+    if cluster is not None and not cluster.startswith("local:"):
+        raise typer.BadParameter(f"expected local:N, e.g. local:4, got {cluster!r}", param_hint="--cluster")
+    if scheduler is not None and "://" not in scheduler:
+        raise typer.BadParameter(f"expected e.g. tcp://host:8786, got {scheduler!r}", param_hint="--scheduler")
+    return cluster or scheduler
 
 
 def _shard(text: str | None) -> tuple[int, int] | None:
