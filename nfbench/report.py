@@ -145,7 +145,8 @@ def _table(where: str, rows: pd.DataFrame, error: str, outlier_m: float, console
     while True:
         table = _drawn(where, rows.sort_values(error, na_position="last"), columns)
         narrower = [head for head in DISPENSABLE if head in columns]
-        if console.measure(table).maximum <= console.width or not narrower:
+        wanted = console.measure(table, options=console.options.update(max_width=1000)).maximum
+        if wanted <= console.width or not narrower:
             return table
         del columns[narrower[0]]
 

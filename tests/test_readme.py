@@ -66,7 +66,7 @@ def test_every_nfbench_command_works(clone):
 
 def test_inline_commands_work(clone):
     inline = set(re.findall(r"`(nfbench (?:list|show)[^`]*)`", README))
-    assert inline == {"nfbench list", "nfbench show solver de"}
+    assert inline == {"nfbench list", "nfbench show solver de", "nfbench show scenario near-field"}
     for command in inline:
         assert run([sys.executable, "-m", *shlex.split(command)], clone).returncode == 0
 
