@@ -144,7 +144,7 @@ def run(
     results = Results(folder)
     told = listener.stopping if listener else lambda: None
     with Store(folder, write=True) as store, logging_to(folder / "study.log") as log, Interrupts(told) as stop:
-        store.begin(study, shard)
+        is_new = store.begin(study, shard)
         store.forget(retry)
         _write(folder / "manifest.toml", lambda path: path.write_text(study.manifest, encoding="utf-8"))
         if kind := network_file_system(folder):
@@ -166,12 +166,13 @@ def run(
                         listener.finished(spec, record)
         finally:
             batches.close()
-            if todo or not (folder / "runs.csv").is_file():
+            if todo or is_new or not store.tabled():
                 environment = describe_environment(study.plugins) | {"jobs": cluster or jobs}
                 environment |= {"started": started.isoformat(), "ended": datetime.now(UTC).isoformat()}
                 text = json.dumps(environment, indent=2) + "\n"
                 _write(folder / "environment.json", lambda path: path.write_text(text, encoding="utf-8"))
-            results.write_tables()
+                results.write_tables()
+                store.mark_tabled()
             log.info("ended: %s", ", ".join(f"{count} {status}" for status, count in store.counts().items()))
         if stop():
             raise KeyboardInterrupt

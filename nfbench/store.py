@@ -5,17 +5,15 @@ from __future__ import annotations
 import contextlib
 import io
 import json
-import math
 import re
 import sqlite3
 import time
 import zlib
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
-import pandas as pd
 from filelock import FileLock, Timeout
 
 from .errors import StoreError
@@ -23,7 +21,10 @@ from .execute import RunRecord
 from .study import RunSpec, Study
 from .trace import Trace
 
-__all__ = ["RunsFrame", "Store", "network_file_system"]
+if TYPE_CHECKING:
+    import pandas as pd
+
+__all__ = ["Store", "network_file_system"]
 
 FILE = "runs.sqlite"
 SCHEMA = 2
@@ -112,6 +113,8 @@ class Store:
 
     def runs(self) -> pd.DataFrame:
         """One row a finished run of the plan, in its order; the columns of ``runs.csv``."""
+        from .frames import RunsFrame  # pandas is slow to import, and not needed to write
+
         frame = RunsFrame(self.meta.get("name", ""))
         with self._telling():
             for row in self._db.execute(f"SELECT {', '.join(RunsFrame.SELECT)} {_JOINED}"):
@@ -120,6 +123,8 @@ class Store:
 
     def origins(self) -> pd.DataFrame:
         """Where and when each finished run of the plan was made: run_id, host, worker (process id), finished."""
+        import pandas as pd
+
         columns = ["run_id", "host", "worker", "finished"]
         with self._telling():
             rows = self._db.execute(f"SELECT {', '.join(columns)} {_JOINED}").fetchall()
@@ -134,8 +139,8 @@ class Store:
 
     # --- writing -------------------------------------------------------------------------------------------------
 
-    def begin(self, study: Study, shard: tuple[int, int] | None = None) -> None:
-        """Lay down the plan: all runs of the study, or those of shard k of n.
+    def begin(self, study: Study, shard: tuple[int, int] | None = None) -> bool:
+        """Lay down the plan: all runs of the study, or those of shard k of n. Says whether anything is new here.
 
         Raises StoreError, with the difference, if the folder belongs to another study, seed or shard.
         """
@@ -152,11 +157,12 @@ class Store:
                 f"or move this one aside with --fresh"
             )
         about = {"title": study.title, "expect": study.expect, "error": study.error, "outlier_m": study.outlier_m}
-        plan = study.fingerprint
+        known = {key: str(value) for key, value in {**asked, **about, "plan": study.fingerprint}.items()}
+        if known.items() <= found.items():
+            return False
         with self._writing():
-            known = [(key, str(value)) for key, value in {**asked, **about, "plan": plan}.items()]
-            self._db.executemany("REPLACE INTO meta VALUES (?, ?)", known)
-            if found.get("plan") != plan:
+            self._db.executemany("REPLACE INTO meta VALUES (?, ?)", known.items())
+            if found.get("plan") != known["plan"]:
                 self._db.execute("DELETE FROM plan")
                 rows = (
                     _plan_row(ordinal, spec)
@@ -164,6 +170,19 @@ class Store:
                     if shard is None or int(spec.run_id, 16) % shard[1] == shard[0] - 1
                 )
                 self._db.executemany(f"INSERT INTO plan VALUES ({_marks(_PLAN_COLUMNS)})", rows)
+        return True
+
+    def tabled(self) -> bool:
+        """Whether tables were written of all that is finished now, as ``mark_tabled`` noted."""
+        return self.meta.get("tabled") == str(self._finished())
+
+    def mark_tabled(self) -> None:
+        """Note that tables were written of all that is finished now."""
+        with self._writing():
+            self._db.execute("REPLACE INTO meta VALUES ('tabled', ?)", [str(self._finished())])
+
+    def _finished(self) -> int:
+        return sum(count for status, count in self.counts().items() if status != "open")
 
     def forget(self, statuses: Iterable[str]) -> None:
         """Drop the results of these statuses, so that their runs are made again."""
@@ -187,7 +206,7 @@ class Store:
                 what = "the manifest, or a plugin's version," if key == "plan" else f"{key} {ours[key]!r}"
                 raise StoreError(f"{other.folder} cannot be merged: {what} differs from that of the folders before it")
         with self._writing():
-            known = [(key, value) for key, value in theirs.items() if key != "shard"]
+            known = [(key, value) for key, value in theirs.items() if key not in ("shard", "tabled")]
             self._db.executemany("REPLACE INTO meta VALUES (?, ?)", known)
             self._db.executemany(
                 f"INSERT OR IGNORE INTO plan VALUES ({_marks(_PLAN_COLUMNS)})", other._db.execute("SELECT * FROM plan")
@@ -264,57 +283,6 @@ class Store:
 _JOINED = "FROM plan JOIN results USING (run_id) ORDER BY ordinal"
 
 
-class RunsFrame:
-    """Gathers rows of the store into the table of runs, column by column, each distinct text kept once."""
-
-    SELECT = (
-        *("run_id", "scenario", "formulation", "solver", "repetition", "swept", "status", "message", "objective"),
-        *("evaluations", "runtime_s", "cpu_s", "instance_seed", "solver_seed", "method", "scores"),
-    )
-    _TEXT = ("scenario", "formulation", "solver", "swept", "status", "message", "method")
-    _NUMBERS = ("objective", "runtime_s", "cpu_s")
-
-    def __init__(self, study: str) -> None:
-        self._study = study
-        self._columns: dict[str, list[Any]] = {name: [] for name in self.SELECT if name != "scores"}
-        self._scores: dict[str, dict[int, float]] = {}
-        self._texts: dict[str, str] = {}
-
-    def add(self, *row: Any) -> None:
-        """One row, as selected."""
-        number = len(self._columns["run_id"])
-        for name, value in zip(self.SELECT, row, strict=True):
-            if name == "scores":
-                for score, text in json.loads(value).items():
-                    self._scores.setdefault(score, {})[number] = float(text)
-            elif name in self._TEXT:
-                self._columns[name].append(self._texts.setdefault(value, value))
-            elif name in self._NUMBERS:
-                self._columns[name].append(math.nan if value is None else value)
-            else:
-                self._columns[name].append(value)
-
-    def finished(self) -> pd.DataFrame:
-        """The table, its score columns sorted, ``rmse_m`` among the first ones whether it is scored or not."""
-        columns, rows = self._columns, range(len(self._columns["run_id"]))
-        settings = {text: json.loads(text) for text in dict.fromkeys(columns["swept"])}
-        swept = dict.fromkeys(key for setting in settings.values() for key in setting)
-
-        def score(name: str) -> list[float]:
-            found = self._scores.get(name, {})
-            return [found.get(row, math.nan) for row in rows]
-
-        table: dict[str, Any] = {"run_id": columns["run_id"], "study": [self._study] * len(rows)}
-        table |= {name: columns[name] for name in ("scenario", "formulation", "solver", "repetition")}
-        table |= {f"scenario.{key}": [_cell(settings[text].get(key)) for text in columns["swept"]] for key in swept}
-        table |= {name: columns[name] for name in ("status", "message")}
-        table |= {"rmse_m": score("rmse_m")}
-        table |= {name: columns[name] for name in ("objective", "evaluations", "runtime_s", "cpu_s", "instance_seed")}
-        table |= {name: columns[name] for name in ("solver_seed", "method")}
-        table |= {name: score(name) for name in sorted(self._scores, key=_natural) if name != "rmse_m"}
-        return pd.DataFrame(table)
-
-
 def network_file_system(folder: Path) -> str | None:
     """The type of the network file system that holds ``folder``; None on a local one, or where that is unknown."""
     try:
@@ -360,16 +328,6 @@ def _result_row(record: RunRecord) -> tuple[Any, ...]:
 def _computed(row: tuple[Any, ...]) -> tuple[Any, ...]:
     """What two executions of one run must agree in: status, objective, evaluations, scores, estimate."""
     return (row[1], row[3], row[4], row[7], row[8])
-
-
-def _cell(value: Any) -> Any:
-    """A swept value as one cell: numbers and text as they are, lists and tables as JSON."""
-    return json.dumps(value) if isinstance(value, list | dict) else value
-
-
-def _natural(name: str) -> list[tuple[int, str]]:
-    """A key that sorts error_10_m behind error_9_m."""
-    return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", name)]
 
 
 def _packed(traces: tuple[Trace, ...]) -> bytes:

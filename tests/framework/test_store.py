@@ -102,3 +102,18 @@ def test_scores_that_json_cannot_hold_come_back(folder):
         runs = store.runs()
     assert runs.ratio[0] == float("inf") and runs.rmse_m[0] == 0.1
     assert [name for name in runs.columns if name.startswith("error")] == ["error_1_m", "error_2_m", "error_10_m"]
+
+
+def test_tables_that_were_not_written_for_all_rows_are_written_by_the_next_run(folder, manifest):
+    study = load_study(manifest(BASIC))
+    whole = (folder / "runs.csv").read_text()
+    with Store(folder, write=True) as store:
+        assert store.tabled()
+        store.forget(["ok"])
+        store.add([RunRecord(spec.run_id, nfbench.Status.OK, evaluations=7) for spec in list(study.specs())[:2]])
+        assert not store.tabled()
+        store.add([RunRecord(spec.run_id, nfbench.Status.OK, evaluations=7) for spec in study.specs()])
+        store._db.execute("UPDATE meta SET value = '2' WHERE key = 'tabled'")  # as if killed before the last table
+        store._db.commit()
+    nfbench.run(study, out=folder, jobs=0)
+    assert (folder / "runs.csv").read_text() != whole and (nfbench.Results(folder).runs.evaluations == 7).all()
