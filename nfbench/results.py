@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 import pandas as pd
 
@@ -167,10 +167,7 @@ def run(
         finally:
             batches.close()
             if todo or is_new or not store.tabled():
-                environment = describe_environment(study.plugins) | {"jobs": cluster or jobs}
-                environment |= {"started": started.isoformat(), "ended": datetime.now(UTC).isoformat()}
-                text = json.dumps(environment, indent=2) + "\n"
-                _write(folder / "environment.json", lambda path: path.write_text(text, encoding="utf-8"))
+                _write_environment(folder, describe_environment(study.plugins), cluster or jobs, started)
                 results.write_tables()
                 store.mark_tabled()
             log.info("ended: %s", ", ".join(f"{count} {status}" for status, count in store.counts().items()))
@@ -186,6 +183,16 @@ def _batches(study: Study, todo: list[int], jobs: int, cluster: str | None, stop
     from .cluster import run_on_cluster
 
     return run_on_cluster(specs, study.plugins, cluster, stop)
+
+
+def _write_environment(folder: Path, environment: dict[str, Any], jobs: int | str, started: datetime) -> None:
+    """``environment.json``: this session, and those before it under ``earlier``."""
+    path = folder / "environment.json"
+    before = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else None
+    earlier = [*before.pop("earlier", []), before] if before else []
+    times = {"started": started.isoformat(), "ended": datetime.now(UTC).isoformat()}
+    text = json.dumps({**environment, "jobs": jobs, **times, "earlier": earlier}, indent=2) + "\n"
+    _write(path, lambda draft: draft.write_text(text, encoding="utf-8"))
 
 
 def _prepare(folder: Path, fresh: bool) -> None:

@@ -238,6 +238,8 @@ class Store:
             raise StoreError(
                 f"{self.folder}: another nfbench is writing here; wait for it, or choose another folder with --out"
             ) from None
+        except OSError as error:
+            raise StoreError(f"{self.folder} cannot be written: {error.strerror or error}") from error
         try:
             db = sqlite3.connect(self.path, timeout=10)
             damage = db.execute("PRAGMA quick_check(1)").fetchone()[0]

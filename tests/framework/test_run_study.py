@@ -171,7 +171,12 @@ def test_the_environment_says_where_the_numbers_came_from(manifest, tmp_path):
     environment = json.loads((tmp_path / "out" / "environment.json").read_text())
     assert environment["versions"]["numpy"] == np.__version__
     assert environment["threads"]["in runs"] == 1
-    assert environment["started"] <= environment["ended"]
+    assert environment["started"] <= environment["ended"] and environment["earlier"] == []
+    (plugin,) = environment["plugins"].values()
+    assert len(plugin) == 64
+    run(manifest(BASIC, repetitions=4), tmp_path / "out")
+    again = json.loads((tmp_path / "out" / "environment.json").read_text())
+    assert again["earlier"] == [{key: value for key, value in environment.items() if key != "earlier"}]
 
 
 def test_a_folder_without_results_or_with_a_spoilt_file_is_told(tmp_path, manifest):

@@ -117,3 +117,12 @@ def test_tables_that_were_not_written_for_all_rows_are_written_by_the_next_run(f
         store._db.commit()
     nfbench.run(study, out=folder, jobs=0)
     assert (folder / "runs.csv").read_text() != whole and (nfbench.Results(folder).runs.evaluations == 7).all()
+
+
+def test_a_folder_that_cannot_be_written_is_told(folder, manifest, monkeypatch):
+    def refuse(*arguments, **options):
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr("nfbench.store.FileLock.acquire", refuse)
+    with pytest.raises(StoreError, match="cannot be written: Permission denied"):
+        nfbench.run(load_study(manifest(BASIC, repetitions=9)), out=folder, jobs=0)
