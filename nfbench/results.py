@@ -20,6 +20,8 @@ from .errors import NfbenchError, StoreError
 from .execute import RunRecord
 from .interrupts import Interrupts
 from .log import logging_to
+from .registry import Registry
+from .scenario import Scenario
 from .store import Store, network_file_system
 from .study import RunSpec, Study
 from .tables import summarize
@@ -155,6 +157,8 @@ def run(
         if listener:
             listener.begin(total, total - len(todo))
         started = datetime.now(UTC)
+        if todo and not cluster:
+            _warm_up(study)
         batches = _batches(study, todo, jobs, cluster, stop)
         try:
             for batch in batches:
@@ -183,6 +187,15 @@ def _batches(study: Study, todo: list[int], jobs: int, cluster: str | None, stop
     from .cluster import run_on_cluster
 
     return run_on_cluster(specs, study.plugins, cluster, stop)
+
+
+def _warm_up(study: Study) -> None:
+    """Once here, where its messages are seen; the workers then find what was compiled."""
+    choice = study.points[0].scenario
+    if not choice.broken:
+        scenario = Registry(study.plugins).make("scenario", choice.kind, choice.options)
+        assert isinstance(scenario, Scenario)
+        scenario.warm_up()
 
 
 def _write_environment(folder: Path, environment: dict[str, Any], jobs: int | str, started: datetime) -> None:

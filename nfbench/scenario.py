@@ -36,6 +36,9 @@ class Scenario(Options, ABC):
     instance: ClassVar[type[Instance]]
     error: ClassVar[str] = "rmse_m"
 
+    def warm_up(self) -> None:
+        """Compile or load what runs will need; called before the first one, so that no clock sees it."""
+
     @abstractmethod
     def draw(self, rng: np.random.Generator) -> Instance:
         """Draw one instance from the generator handed in, and from nothing else."""
