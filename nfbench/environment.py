@@ -22,6 +22,8 @@ LIBRARIES = (
     "nfbench",
     "numpy",
     "scipy",
+    "numba",
+    "llvmlite",
     "nlopt",
     "cma",
     "pandas",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import final
 
 import numpy as np
@@ -11,6 +12,7 @@ from scipy.linalg import solve_triangular
 
 from nfbench import Problem
 
+from . import kernels
 from .wavefronts import Manifold
 
 __all__ = ["ESF", "RIDGE"]
@@ -48,15 +50,18 @@ class ESF(Problem):
         self._sources = U_s.shape[1]
         self.lower, self.upper = np.tile(lower, self._sources), np.tile(upper, self._sources)
         self._manifold = manifold
-        self._U_s, self._conj_U_s = U_s, np.ascontiguousarray(U_s.conj())
+        self._U_s = U_s
+        kernels.warm_up()
+        fit = *manifold.packed, self._sources, RIDGE * manifold.elements, kernels.pack_rows(U_s)
+        self._kernel = partial(kernels.esf, *fit)
+        self._kernel_one = partial(kernels.esf_one, *fit)
 
     def evaluate(self, X: Float[ndarray, "p n"]) -> Float[ndarray, " p"]:
-        p, K, M = len(X), self._sources, self._manifold.elements
-        A = self._manifold.response(X.reshape(-1, self._manifold.dimension))  # one response a row
-        B = (A @ self._conj_U_s).conj()
-        _, W = _whiten(A.reshape(p, K, M), B.reshape(p, K, K))
-        J: Float[ndarray, " p"] = K - np.sum(W.real**2 + W.imag**2, axis=(0, 2))
-        np.maximum(J, 0.0, out=J)
+        J: Float[ndarray, " p"] = self._kernel(X)
+        return J
+
+    def value(self, x: Float[ndarray, " n"]) -> float:
+        J: float = self._kernel_one(x)
         return J
 
     def value_and_gradient(self, x: Float[ndarray, " n"]) -> tuple[float, Float[ndarray, " n"]]:

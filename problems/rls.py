@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import final
 
 import numpy as np
@@ -10,6 +11,7 @@ from numpy import ndarray
 
 from nfbench import Problem
 
+from . import kernels
 from .subspace import compress
 from .wavefronts import Manifold
 
@@ -51,41 +53,37 @@ class RLS(Problem):
             raise ValueError(f"lower, upper: expected shape ({manifold.dimension},), got {lower.shape}, {upper.shape}")
         self.lower, self.upper = lower, upper
         self._manifold = manifold
-        self._conj_L = np.ascontiguousarray(compress(Y).conj())
+        kernels.warm_up()
+        self._L = compress(Y)
+        factor = *manifold.packed, kernels.pack_rows(self._L)
+        self._explained = partial(kernels.explained, *factor)  # ‖aᴴL‖² of points
+        self._explained_one = partial(kernels.explained_one, *factor)  # and of one
         self._energy = float(np.vdot(Y, Y).real)
         self._detected = np.empty((0, manifold.dimension)) if detected is None else detected
         self._alpha = alpha if alpha_relative is None else alpha_relative * self._energy / manifold.elements
         self._delta_min = delta_min
+        cone = self._detected, float(self._alpha), float(delta_min)
+        self._repulsion = partial(kernels.repulsion, *cone)
+        self._repulsion_one = partial(kernels.repulsion_one, *cone)
 
     def evaluate(self, X: Float[ndarray, "p n"]) -> Float[ndarray, " p"]:
-        b = self._manifold.response(X) @ self._conj_L  # the conjugate of aᴴL
-        explained: Float[ndarray, " p"] = np.vecdot(b, b).real
-        residual = np.maximum(self._energy - explained / self._manifold.elements, 0.0)
+        residual = np.maximum(self._energy - self._explained(X) / self._manifold.elements, 0.0)
         return residual + self._repulsion(X) if len(self._detected) else residual
 
     def value(self, x: Float[ndarray, " n"]) -> float:
-        return self._total(x, self._manifold.response(x) @ self._conj_L)
+        residual: float = max(self._energy - self._explained_one(x) / self._manifold.elements, 0.0)
+        return residual + self._repulsion_one(x) if len(self._detected) else residual
 
     def value_and_gradient(self, x: Float[ndarray, " n"]) -> tuple[float, Float[ndarray, " n"]]:
         """The value and the gradient; of the repulsion a subgradient, zero where it has a kink."""
         a, D = self._manifold.response_and_derivatives(x[None])
-        b = a[0] @ self._conj_L
-        c = self._conj_L @ b.conj()  # the conjugate of LLᴴa
+        c = (self._L @ (a[0].conj() @ self._L).conj()).conj()  # the conjugate of LLᴴa
         gradient = -2 / self._manifold.elements * (D[0] @ c).real  # −2/M·Re(∂aᵀ·(LLᴴa)*)
         away = x - self._detected
         distance = np.linalg.norm(away, axis=1)
         near = (distance > 0) & (distance < self._delta_min)
         gradient -= self._alpha * np.sum(away[near] / distance[near, None], axis=0)
-        return self._total(x, b), gradient
-
-    def _total(self, x: Float[ndarray, " n"], b: Complex[ndarray, " c"]) -> float:
-        residual = max(self._energy - float(np.vdot(b, b).real) / self._manifold.elements, 0.0)
-        return residual + float(self._repulsion(x[None])[0]) if len(self._detected) else residual
-
-    def _repulsion(self, X: Float[ndarray, "p n"]) -> Float[ndarray, " p"]:
-        distance = np.linalg.norm(X[:, None] - self._detected, axis=-1)
-        penalty: Float[ndarray, " p"] = self._alpha * np.sum(np.maximum(0.0, self._delta_min - distance), axis=1)
-        return penalty
+        return self.value(x), gradient
 
 
 def deflate(Y: Complex[ndarray, "m t"], a: Complex[ndarray, " m"]) -> Complex[ndarray, "m t"]:

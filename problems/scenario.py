@@ -12,6 +12,7 @@ from numpy import ndarray
 
 from nfbench import Ge, Gt, Instance, Le, Lt, OneOf, OptionError, Scenario
 
+from . import kernels
 from .arrays import UCA, ULA, UPA, Array, Custom
 from .channels import IID, NLoS, complex_normal, rician
 from .geometry import directions
@@ -81,6 +82,7 @@ class NearField(Scenario):
         So one seed gives the same positions, symbols and noise at every SNR, Rician factor and wavefront. Raises
         ValueError where no placement with sources ``min_separation_deg`` apart is found.
         """
+        kernels.warm_up()  # before any clock runs
         for_positions, for_fading, for_symbols, for_noise = rng.spawn(4)
         lower, upper = self._box()
         theta = self._place_sources(for_positions, lower, upper)

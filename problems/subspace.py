@@ -10,8 +10,9 @@ __all__ = ["compress", "signal_subspace"]
 
 
 def compress(Y: Complex[ndarray, "m t"]) -> Complex[ndarray, "m c"]:
-    """A factor L of c = min(M, T) columns with L·Lᴴ = Y·Yᴴ, from Yᴴ = QR: L = Rᴴ."""
-    return Y if Y.shape[1] <= Y.shape[0] else np.linalg.qr(Y.conj().T).R.conj().T
+    """A factor L of c = min(M, T) columns with L·Lᴴ = Y·Yᴴ, from Yᴴ = QR: L = Rᴴ, zero above its diagonal."""
+    L: ndarray = np.linalg.qr(Y.conj().T).R.conj().T
+    return L
 
 
 def signal_subspace(Y: Complex[ndarray, "m t"], sources: int) -> Complex[ndarray, "m k"]:

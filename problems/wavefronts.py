@@ -16,6 +16,7 @@ from jaxtyping import Complex, Float
 from numpy import ndarray
 from numpy.typing import NDArray
 
+from . import kernels
 from .geometry import direction_derivatives, directions
 
 __all__ = ["Manifold", "Wavefront"]
@@ -104,6 +105,12 @@ class Manifold:
         slopes[:, :-1] = by_s[:, None] * (direction_derivatives(theta) @ self._columns)
         slopes[:, -1] = by_r
         return a, (1j * self._wavenumber) * slopes * a[:, None]
+
+    @cached_property
+    def packed(self) -> tuple[float, int, Float[ndarray, "4 padded"], int]:
+        """The same for the kernels: λ, the wavefront's number, the geometry, M."""
+        geometry = kernels.pack_geometry(self.positions, self.wavelength_m)
+        return float(self.wavelength_m), kernels.WAVEFRONTS[self.wavefront], geometry, self.elements
 
     def _phasor(self, advance: _Real) -> ndarray:
         phase = self._wavenumber * advance

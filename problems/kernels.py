@@ -1,0 +1,359 @@
+"""The compiled heart of the objectives: responses, RLS and ESF, for any number of points through the same code.
+
+Layout: every vector over the M elements is a row of float64, real and imaginary parts apart, padded with zeros to a
+multiple of LANES, so that each inner loop is a plain sum which LLVM turns into full SIMD registers and nothing is left
+over. A value does not depend on which other points are evaluated with it. Lengths are in wavelengths and phases in
+turns, for which the reduction to one turn is exact.
+
+Kernels are compiled once a machine and kept on disk: in ``__pycache__`` here, or where that is read-only in the user's
+cache folder (Numba's own order; NUMBA_CACHE_DIR comes before both). ``warm_up`` loads them, before any clock runs.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Callable
+from functools import cache
+from typing import Any, TypeAlias, TypeVar, cast
+
+import numba
+import numpy as np
+from jaxtyping import Complex, Float
+from numba import types
+from numpy import ndarray
+
+from nfbench import NfbenchError
+
+__all__ = ["WAVEFRONTS", "esf", "esf_one", "explained", "explained_one", "pack_geometry", "pack_rows", "repulsion"]
+__all__ += ["repulsion_one", "warm_up"]
+
+_Index: TypeAlias = int | np.uint64
+_F = TypeVar("_F", bound=Callable[..., Any])
+
+LANES = 16  # two of the widest SIMD registers (AVX-512), which LLVM keeps in flight per sum
+ROWS = 4  # rows met at once in an inner product: 8 sums in flight hide the latency of a fused multiply-add
+BLOCK = 16  # candidates whose responses stay in the first-level cache while the factor streams past them
+WAVEFRONTS = {"exact": 0, "fresnel": 1, "paper": 2, "planar": 3}
+
+_u = np.uint64  # an index that is never negative, so that Numba need not ask
+_CONTRACT = {"contract"}  # fused multiply-adds
+_SUMS = {"contract", "reassoc", "nsz"}  # and sums in any order: their rounding is that of BLAS
+_REMEDY = "set NUMBA_CACHE_DIR to a writable folder, or reinstall numba and llvmlite"
+
+
+def _compiled(fastmath: set[str] | bool = False) -> Callable[[_F], _F]:
+    """Numba's njit with what all kernels share: no Python exceptions inside, and a cache on disk."""
+
+    def compiled(function: _F) -> _F:
+        try:
+            kernel = numba.njit(cache=True, error_model="numpy", fastmath=fastmath)(function)
+        except RuntimeError as error:  # no folder to keep the cache in
+            raise NfbenchError(f"kernels: Numba {numba.__version__} cannot be used here: {error}; {_REMEDY}") from error
+        return cast(_F, kernel)
+
+    return compiled
+
+
+def pack_geometry(positions: Float[ndarray, "m 3"], wavelength_m: float) -> Float[ndarray, "4 padded"]:
+    """The rows q_x, q_y, q_z [λ] and w = ‖q‖² [λ²]; (M, 3) ``positions`` [m]."""
+    q = positions.T / wavelength_m
+    return _pad(np.vstack([q, np.sum(q * q, axis=0)]), 1)
+
+
+def pack_rows(columns: Complex[ndarray, "m c"]) -> Float[ndarray, "2 rows padded"]:
+    """The real and the imaginary parts of c columns, each a row; rows of zeros make c a multiple of ROWS."""
+    return np.stack([_pad(part, ROWS) for part in (columns.real.T, columns.imag.T)])
+
+
+def _pad(rows: ndarray, multiple: int) -> ndarray:
+    r, m = rows.shape
+    padded = np.zeros((r + -r % multiple, m + -m % LANES))
+    padded[:r, :m] = rows
+    return padded
+
+
+# ------------------------------------------------------------------------------------------------- response vectors
+
+
+@_compiled(_CONTRACT)
+def _sine(g: float) -> float:
+    """sin(2πg) for |g| <= 1/4: the minimax polynomial of degree 17, off by 5e-19 before rounding."""
+    z = g * g
+    p = 0.10064290911915101
+    p = p * z - 0.7176655739661518
+    p = p * z + 3.8199205370501965
+    p = p * z - 15.094641230812554
+    p = p * z + 42.058693910435544
+    p = p * z - 76.70585975253722
+    p = p * z + 81.60524927607067
+    p = p * z - 41.34170224039974
+    p = p * z + 6.283185307179586
+    return p * g
+
+
+@_compiled(_CONTRACT)
+def _phasor(turns: float) -> tuple[float, float]:
+    """cos(2πt) and sin(2πt): both are sines of triangle waves of t, cos of 1/4 − |t| and sin of 1/4 − |1/4 − |t||."""
+    t = turns - np.rint(turns)  # exact, |t| <= 1/2
+    quarter = 0.25 - abs(t)
+    return _sine(quarter), _sine(math.copysign(0.25 - abs(quarter), t))
+
+
+@_compiled(_CONTRACT)
+def _respond(
+    X: ndarray,
+    i: int,
+    first: int,
+    angles: int,
+    wavelength: float,
+    wavefront: int,
+    geometry: ndarray,
+    M: int,
+    a: ndarray,
+    row: int,
+) -> None:
+    """a(θ), θ = X[i, first:], into the row of ``a``, zero beyond M: the advance [λ], then its phasor."""
+    x, y = _phasor(X[i, first] * (0.5 / math.pi))  # u = [cosψ cosφ, cosψ sinφ, sinψ]
+    z = 0.0
+    if angles == 2:
+        c, z = _phasor(X[i, first + 1] * (0.5 / math.pi))
+        x, y = c * x, c * y
+    r = X[i, first + angles] / wavelength
+    half = 0.5 / r
+    width = geometry.shape[1]
+    if wavefront == 0:  # exact: r − ‖p − q‖ without the cancellation of nearly equal lengths
+        for m in range(width):
+            s = x * geometry[0, m] + y * geometry[1, m] + z * geometry[2, m]
+            numerator = 2.0 * r * s - geometry[3, m]
+            d = math.sqrt(max(r * r - numerator, 1e-300))
+            a[0, row, m] = numerator / (r + d)
+    elif wavefront == 1:  # fresnel
+        for m in range(width):
+            s = x * geometry[0, m] + y * geometry[1, m] + z * geometry[2, m]
+            a[0, row, m] = s - (geometry[3, m] - s * s) * half
+    elif wavefront == 2:  # paper
+        for m in range(width):
+            s = x * geometry[0, m] + y * geometry[1, m] + z * geometry[2, m]
+            a[0, row, m] = s - geometry[3, m] * half
+    else:  # planar
+        for m in range(width):
+            a[0, row, m] = x * geometry[0, m] + y * geometry[1, m] + z * geometry[2, m]
+    for m in range(width):
+        a[0, row, m], a[1, row, m] = _phasor(a[0, row, m])
+    for m in range(M, width):
+        a[0, row, m] = a[1, row, m] = 0.0
+
+
+@_compiled()
+def phasors(turns: ndarray, re: ndarray, im: ndarray) -> None:
+    """cos(2πt) and sin(2πt) of a vector; by itself for the tests, and the first to be compiled."""
+    for m in range(len(turns)):
+        re[m], im[m] = _phasor(turns[m])
+
+
+# ------------------------------------------------------------------------------------------------- inner products
+
+
+@_compiled(_SUMS)
+def _four(
+    a: ndarray, p: _Index, rows: ndarray, j: _Index, start: _Index
+) -> tuple[float, float, float, float, float, float, float, float]:
+    """aᴴl of response p with the four rows l from j on, from element ``start`` on."""
+    s0 = s1 = s2 = s3 = s4 = s5 = s6 = s7 = 0.0
+    for m in range(start, _u(a.shape[2])):
+        x, y = a[0, p, m], a[1, p, m]
+        s0 += x * rows[0, j, m] + y * rows[1, j, m]
+        s1 += x * rows[1, j, m] - y * rows[0, j, m]
+        s2 += x * rows[0, j + _u(1), m] + y * rows[1, j + _u(1), m]
+        s3 += x * rows[1, j + _u(1), m] - y * rows[0, j + _u(1), m]
+        s4 += x * rows[0, j + _u(2), m] + y * rows[1, j + _u(2), m]
+        s5 += x * rows[1, j + _u(2), m] - y * rows[0, j + _u(2), m]
+        s6 += x * rows[0, j + _u(3), m] + y * rows[1, j + _u(3), m]
+        s7 += x * rows[1, j + _u(3), m] - y * rows[0, j + _u(3), m]
+    return s0, s1, s2, s3, s4, s5, s6, s7
+
+
+# ------------------------------------------------------------------------------------------------- RLS
+
+
+@_compiled()
+def _explain(
+    X: ndarray,
+    first: int,
+    wavelength: float,
+    wavefront: int,
+    geometry: ndarray,
+    M: int,
+    L: ndarray,
+    a: ndarray,
+    total: ndarray,
+) -> None:
+    """‖aᴴL‖² of up to BLOCK candidates from ``first`` on; row j of L is zero before element j."""
+    count = min(len(X) - first, BLOCK)
+    for p in range(count):
+        _respond(X, first + p, 0, X.shape[1] - 1, wavelength, wavefront, geometry, M, a, p)
+        total[first + p] = 0.0
+    for j in range(_u(0), _u(L.shape[1]), _u(ROWS)):
+        start = j // _u(LANES) * _u(LANES)
+        for p in range(_u(count)):
+            b0, b1, b2, b3, b4, b5, b6, b7 = _four(a, p, L, j, start)
+            total[_u(first) + p] += ((b0 * b0 + b1 * b1) + (b2 * b2 + b3 * b3)) + (
+                (b4 * b4 + b5 * b5) + (b6 * b6 + b7 * b7)
+            )
+
+
+@_compiled()
+def explained(wavelength: float, wavefront: int, geometry: ndarray, M: int, L: ndarray, X: ndarray) -> ndarray:
+    """‖aᴴL‖² of p candidates."""
+    a = np.empty((2, min(len(X), BLOCK), geometry.shape[1]))
+    total = np.empty(len(X))
+    for first in range(0, len(X), BLOCK):
+        _explain(X, first, wavelength, wavefront, geometry, M, L, a, total)
+    return total
+
+
+@_compiled()
+def explained_one(wavelength: float, wavefront: int, geometry: ndarray, M: int, L: ndarray, x: ndarray) -> float:
+    """‖aᴴL‖² of one candidate."""
+    a = np.empty((2, 1, geometry.shape[1]))
+    total = np.empty(1)
+    _explain(np.expand_dims(x, 0), 0, wavelength, wavefront, geometry, M, L, a, total)
+    return total[0]
+
+
+@_compiled()
+def repulsion(detected: ndarray, alpha: float, delta_min: float, X: ndarray) -> ndarray:
+    """Σ_i α·max(0, δ_min − ‖θ − θ_i‖) of p candidates."""
+    total = np.zeros(len(X))
+    for p in range(len(X)):
+        for i in range(len(detected)):
+            square = 0.0
+            for c in range(X.shape[1]):
+                square += (X[p, c] - detected[i, c]) ** 2
+            total[p] += alpha * max(0.0, delta_min - math.sqrt(square))
+    return total
+
+
+@_compiled()
+def repulsion_one(detected: ndarray, alpha: float, delta_min: float, x: ndarray) -> float:
+    """The same of one candidate."""
+    return repulsion(detected, alpha, delta_min, np.expand_dims(x, 0))[0]
+
+
+# ------------------------------------------------------------------------------------------------- ESF
+
+
+@_compiled()
+def _esf_point(
+    X: ndarray,
+    i: int,
+    wavelength: float,
+    wavefront: int,
+    geometry: ndarray,
+    M: int,
+    K: int,
+    least: float,
+    rows: ndarray,
+    h: ndarray,
+    L: ndarray,
+    W: ndarray,
+) -> float:
+    """K − ‖W‖²_F with W = L⁻¹B and G = LLᴴ, pivots at least ``least``; ``rows`` holds U_s and takes the responses.
+
+    Row j of ``h`` is a_jᴴ[U_s, a_0 … a_{j−1}]: row j of B, then that of G left of its diagonal, which is M.
+    """
+    d = X.shape[1] // K
+    explained = 0.0
+    for j in range(K):
+        _respond(X, i, j * d, d - 1, wavelength, wavefront, geometry, M, rows, K + j)
+        for k in range(_u(0), _u(K + j), _u(ROWS)):
+            s0, s1, s2, s3, s4, s5, s6, s7 = _four(rows, _u(K + j), rows, k, _u(0))
+            h[k] = complex(s0, s1)
+            h[k + _u(1)] = complex(s2, s3)
+            h[k + _u(2)] = complex(s4, s5)
+            h[k + _u(3)] = complex(s6, s7)
+        pivot = float(M)
+        for k in range(j):
+            g = h[K + k]
+            for c in range(k):
+                g -= L[j, c] * L[k, c].conjugate()
+            g = g * (1.0 / L[k, k].real)
+            L[j, k] = g
+            pivot -= g.real * g.real + g.imag * g.imag
+            for c in range(K):
+                h[c] -= g * W[k, c]
+        root = math.sqrt(max(pivot, least))
+        L[j, j] = root
+        for c in range(K):
+            w = h[c] * (1.0 / root)
+            W[j, c] = w
+            explained += w.real * w.real + w.imag * w.imag
+    return max(K - explained, 0.0)
+
+
+@_compiled()
+def _esf_scratch(geometry: ndarray, K: int, U: ndarray) -> tuple[ndarray, ndarray, ndarray, ndarray]:
+    """Room for one candidate at a time: rows, with U_s in place, h, L and W."""
+    count = (2 * K + ROWS - 1) // ROWS * ROWS
+    rows = np.zeros((2, count, geometry.shape[1]))
+    for part in range(2):
+        for k in range(K):
+            for m in range(geometry.shape[1]):
+                rows[part, k, m] = U[part, k, m]
+    return rows, np.empty(count, np.complex128), np.empty((K, K), np.complex128), np.empty((K, K), np.complex128)
+
+
+@_compiled()
+def esf(
+    wavelength: float, wavefront: int, geometry: ndarray, M: int, K: int, least: float, U: ndarray, X: ndarray
+) -> ndarray:
+    """J of p candidates."""
+    rows, h, L, W = _esf_scratch(geometry, K, U)
+    J = np.empty(len(X))
+    for i in range(len(X)):
+        J[i] = _esf_point(X, i, wavelength, wavefront, geometry, M, K, least, rows, h, L, W)
+    return J
+
+
+@_compiled()
+def esf_one(
+    wavelength: float, wavefront: int, geometry: ndarray, M: int, K: int, least: float, U: ndarray, x: ndarray
+) -> float:
+    """J of one candidate."""
+    rows, h, L, W = _esf_scratch(geometry, K, U)
+    return _esf_point(np.expand_dims(x, 0), 0, wavelength, wavefront, geometry, M, K, least, rows, h, L, W)
+
+
+# ------------------------------------------------------------------------------------------------- compilation
+
+_MANIFOLD = (types.float64, types.int64, types.float64[:, ::1], types.int64)  # λ, wavefront, geometry, M
+_ROWS = types.float64[:, :, ::1]
+_ONE, _MANY = (types.Array(types.float64, n, "A", readonly=True, aligned=False) for n in (1, 2))  # any float64 array
+_REPULSION = (_MANY, types.float64, types.float64)
+_SIGNATURES: list[tuple[Any, tuple[Any, ...]]] = [
+    (phasors, (types.float64[::1],) * 3),  # the quickest to compile
+    (explained, (*_MANIFOLD, _ROWS, _MANY)),
+    (explained_one, (*_MANIFOLD, _ROWS, _ONE)),
+    (repulsion, (*_REPULSION, _MANY)),
+    (repulsion_one, (*_REPULSION, _ONE)),
+    (esf, (*_MANIFOLD, types.int64, types.float64, _ROWS, _MANY)),
+    (esf_one, (*_MANIFOLD, types.int64, types.float64, _ROWS, _ONE)),
+]
+
+
+@cache
+def warm_up() -> None:
+    """Load every kernel from the cache, or compile it, saying so on stderr; nothing is ever compiled after this.
+
+    Raises NfbenchError where Numba cannot.
+    """
+    try:
+        for kernel, signature in _SIGNATURES:
+            kernel.compile(signature)
+            kernel.disable_compile()
+            misses = kernel.stats.cache_misses
+            if kernel is phasors and misses:
+                print("nfbench: compiling kernels (once a machine, some 20 s) …", file=sys.stderr, flush=True)
+    except (numba.core.errors.NumbaError, OSError, RuntimeError) as error:
+        raise NfbenchError(f"kernels: Numba {numba.__version__} cannot compile here: {error}; {_REMEDY}") from error

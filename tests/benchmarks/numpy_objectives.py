@@ -1,0 +1,84 @@
+"""RLS and ESF in vectorised NumPy: what the kernels are compared with, in tests and benchmarks."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy import ndarray
+
+from nfbench import Problem
+from nfbench.problems.esf import RIDGE
+from nfbench.problems.subspace import compress
+from nfbench.problems.wavefronts import Manifold
+
+
+class NumPyRLS(Problem):
+    """J(θ) = ‖(I − P_a)Y‖²_F + the repulsion, as one matrix product for all points."""
+
+    def __init__(
+        self,
+        Y: ndarray,
+        manifold: Manifold,
+        lower: ndarray,
+        upper: ndarray,
+        *,
+        detected: ndarray | None = None,
+        alpha: float = 1000.0,
+        delta_min: float = 0.08,
+        alpha_relative: float | None = None,
+    ) -> None:
+        self.lower, self.upper = lower, upper
+        self.manifold = manifold
+        self.conj_L = np.ascontiguousarray(compress(Y).conj())
+        self.energy = float(np.vdot(Y, Y).real)
+        self.detected = np.empty((0, manifold.dimension)) if detected is None else detected
+        self.alpha = alpha if alpha_relative is None else alpha_relative * self.energy / manifold.elements
+        self.delta_min = delta_min
+
+    def evaluate(self, X: ndarray) -> ndarray:
+        b = self.manifold.response(X) @ self.conj_L
+        residual = np.maximum(self.energy - np.vecdot(b, b).real / self.manifold.elements, 0.0)
+        return residual + self.repulsion(X) if len(self.detected) else residual
+
+    def value(self, x: ndarray) -> float:
+        b = self.manifold.response(x) @ self.conj_L
+        residual = max(self.energy - float(np.vdot(b, b).real) / self.manifold.elements, 0.0)
+        return residual + float(self.repulsion(x[None])[0]) if len(self.detected) else residual
+
+    def repulsion(self, X: ndarray) -> ndarray:
+        distance = np.linalg.norm(X[:, None] - self.detected, axis=-1)
+        return self.alpha * np.sum(np.maximum(0.0, self.delta_min - distance), axis=1)
+
+
+class NumPyESF(Problem):
+    """J(x) = K − tr(BᴴG⁻¹B), one Cholesky for all points."""
+
+    def __init__(self, U_s: ndarray, manifold: Manifold, lower: ndarray, upper: ndarray) -> None:
+        self.sources = U_s.shape[1]
+        self.lower, self.upper = np.tile(lower, self.sources), np.tile(upper, self.sources)
+        self.manifold = manifold
+        self.conj_U_s = np.ascontiguousarray(U_s.conj())
+
+    def evaluate(self, X: ndarray) -> ndarray:
+        p, K, M = len(X), self.sources, self.manifold.elements
+        A = self.manifold.response(X.reshape(-1, self.manifold.dimension))  # one response a row
+        B = (A @ self.conj_U_s).conj()
+        W = whiten(A.reshape(p, K, M), B.reshape(p, K, K))
+        return np.maximum(K - np.sum(W.real**2 + W.imag**2, axis=(0, 2)), 0.0)
+
+
+def whiten(A: ndarray, B: ndarray) -> ndarray:
+    """W = L⁻¹B (K, p, K) with G = AᴴA = LLᴴ, pivots of at least RIDGE·M; A (p, K, M), B (p, K, K)."""
+    p, K, M = A.shape
+    L = np.zeros((K, K, p), dtype=np.complex128)
+    W = np.empty((K, p, B.shape[2]), dtype=np.complex128)
+    for j in range(K):
+        pivot = np.full(p, float(M))
+        rest = B[:, j].copy()
+        for k in range(j):
+            g = np.vecdot(A[:, j], A[:, k])
+            L[j, k] = (g - np.sum(L[j, :k] * L[k, :k].conj(), axis=0)) / L[k, k]
+            pivot -= L[j, k].real ** 2 + L[j, k].imag ** 2
+            rest -= L[j, k][:, None] * W[k]
+        L[j, j] = root = np.sqrt(np.maximum(pivot, RIDGE * M))
+        W[j] = rest / root[:, None]
+    return W
