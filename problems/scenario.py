@@ -76,6 +76,9 @@ class NearField(Scenario):
         if problems:
             raise OptionError(type(self).__name__, problems)
 
+    def warm_up(self) -> None:
+        kernels.warm_up()
+
     def draw(self, rng: np.random.Generator) -> NearFieldInstance:
         """Draw positions, fading, symbols and noise, each from its own child of ``rng``, spawned in this order.
 
