@@ -8,7 +8,6 @@ from typing import final
 import numpy as np
 from jaxtyping import Complex, Float
 from numpy import ndarray
-from scipy.linalg import solve_triangular
 
 from nfbench import Problem
 
@@ -49,12 +48,11 @@ class ESF(Problem):
             raise ValueError(f"lower, upper: expected shape ({manifold.dimension},), got {lower.shape}, {upper.shape}")
         self._sources = U_s.shape[1]
         self.lower, self.upper = np.tile(lower, self._sources), np.tile(upper, self._sources)
-        self._manifold = manifold
-        self._U_s = U_s
         kernels.warm_up()
         fit = *manifold.packed, self._sources, RIDGE * manifold.elements, kernels.pack_rows(U_s)
         self._kernel = partial(kernels.esf, *fit)
         self._kernel_one = partial(kernels.esf_one, *fit)
+        self._kernel_and_gradient = partial(kernels.esf_and_gradient, *fit)
 
     def evaluate(self, X: Float[ndarray, "p n"]) -> Float[ndarray, " p"]:
         J: Float[ndarray, " p"] = self._kernel(X)
@@ -65,33 +63,5 @@ class ESF(Problem):
         return J
 
     def value_and_gradient(self, x: Float[ndarray, " n"]) -> tuple[float, Float[ndarray, " n"]]:
-        A, D = self._manifold.response_and_derivatives(x.reshape(self._sources, -1))
-        L, W = _whiten(A[None], (A.conj() @ self._U_s)[None])
-        value = max(self._sources - float(np.vdot(W, W).real), 0.0)
-        C = solve_triangular(L[:, :, 0], W[:, 0], lower=True, trans="C")  # A⁺U_s = G⁻¹B
-        V = self._U_s - A.T @ C  # (I − P_A)U_s
-        # ∂J = −2 Re tr(Vᴴ·∂A·C), and θ_k moves column k of A alone
-        gradient = -2 * np.einsum("kdm,mk->kd", D, V.conj() @ C.T).real
-        return value, gradient.ravel()
-
-
-def _whiten(A: ndarray, B: ndarray) -> tuple[ndarray, ndarray]:
-    """G = AᴴA = LLᴴ by Cholesky with pivots of at least RIDGE·M, and W = L⁻¹B, for p candidates at once.
-
-    A: (p, K, M), responses as rows. B: (p, K, K). Returns L (K, K, p) and W (K, p, K); tr(BᴴG⁻¹B) = ‖W‖²_F.
-    """
-    p, K, M = A.shape
-    L = np.zeros((K, K, p), dtype=np.complex128)
-    W = np.empty((K, p, B.shape[2]), dtype=np.complex128)
-    for j in range(K):
-        pivot = np.full(p, float(M))  # |a_m| = 1
-        rest = B[:, j].copy()
-        for k in range(j):
-            g = np.vecdot(A[:, j], A[:, k])  # a_jᴴa_k
-            L[j, k] = (g - np.sum(L[j, :k] * L[k, :k].conj(), axis=0)) / L[k, k]
-            pivot -= L[j, k].real ** 2 + L[j, k].imag ** 2
-            rest -= L[j, k][:, None] * W[k]
-        root = np.sqrt(np.maximum(pivot, RIDGE * M))
-        L[j, j] = root
-        W[j] = rest / root[:, None]
-    return L, W
+        J, gradient = self._kernel_and_gradient(x)
+        return J, gradient

@@ -25,8 +25,21 @@ from numpy import ndarray
 
 from nfbench import NfbenchError
 
-__all__ = ["WAVEFRONTS", "esf", "esf_one", "explained", "explained_one", "pack_geometry", "pack_rows", "repulsion"]
-__all__ += ["repulsion_one", "warm_up"]
+__all__ = [
+    "WAVEFRONTS",
+    "esf",
+    "esf_and_gradient",
+    "esf_one",
+    "explained",
+    "explained_and_gradient",
+    "explained_one",
+    "pack_geometry",
+    "pack_rows",
+    "phasors",
+    "repulsion",
+    "repulsion_one",
+    "warm_up",
+]
 
 _Index: TypeAlias = int | np.uint64
 _F = TypeVar("_F", bound=Callable[..., Any])
@@ -145,6 +158,50 @@ def _respond(
         a[0, row, m] = a[1, row, m] = 0.0
 
 
+@_compiled(_SUMS)
+def _pull(
+    X: ndarray,
+    i: int,
+    first: int,
+    angles: int,
+    wavelength: float,
+    wavefront: int,
+    geometry: ndarray,
+    e: ndarray,
+    row: int,
+    gradient: ndarray,
+) -> None:
+    """Σ_m e_m·∂t_m/∂θ into ``gradient``, t_m the phase of a_m in turns, e the row of ``e``, zero beyond M."""
+    cos_a, sin_a = _phasor(X[i, first] * (0.5 / math.pi))
+    cos_e, sin_e = 1.0, 0.0
+    if angles == 2:
+        cos_e, sin_e = _phasor(X[i, first + 1] * (0.5 / math.pi))
+    x, y, z = cos_e * cos_a, cos_e * sin_a, sin_e
+    r = X[i, first + angles] / wavelength
+    gx = gy = gz = gr = 0.0
+    for m in range(geometry.shape[1]):
+        s = x * geometry[0, m] + y * geometry[1, m] + z * geometry[2, m]
+        w = geometry[3, m]
+        by_s, by_r = 1.0, 0.0
+        if wavefront == 0:  # ∂f/∂r = 1 − (r − s)/d, again without cancellation
+            numerator = 2.0 * r * s - w
+            d = math.sqrt(max(r * r - numerator, 1e-300))
+            by_s, by_r = r / d, (w - s * numerator / (r + d)) / ((r + d) * d)
+        elif wavefront == 1:
+            by_s, by_r = 1.0 + s / r, (w - s * s) / (2.0 * r * r)
+        elif wavefront == 2:
+            by_r = w / (2.0 * r * r)
+        pull = e[0, row, m] * by_s
+        gx += pull * geometry[0, m]
+        gy += pull * geometry[1, m]
+        gz += pull * geometry[2, m]
+        gr += e[0, row, m] * by_r
+    gradient[first] = cos_e * (cos_a * gy - sin_a * gx)
+    if angles == 2:
+        gradient[first + 1] = cos_e * gz - sin_e * (cos_a * gx + sin_a * gy)
+    gradient[first + angles] = gr / wavelength
+
+
 @_compiled()
 def phasors(turns: ndarray, re: ndarray, im: ndarray) -> None:
     """cos(2πt) and sin(2πt) of a vector; by itself for the tests, and the first to be compiled."""
@@ -172,6 +229,16 @@ def _four(
         s6 += x * rows[0, j + _u(3), m] + y * rows[1, j + _u(3), m]
         s7 += x * rows[1, j + _u(3), m] - y * rows[0, j + _u(3), m]
     return s0, s1, s2, s3, s4, s5, s6, s7
+
+
+@_compiled(_SUMS)
+def _one(a: ndarray, p: _Index, rows: ndarray, j: _Index) -> tuple[float, float]:
+    """aᴴl of response p with row j alone."""
+    s0 = s1 = 0.0
+    for m in range(_u(a.shape[2])):
+        s0 += a[0, p, m] * rows[0, j, m] + a[1, p, m] * rows[1, j, m]
+        s1 += a[0, p, m] * rows[1, j, m] - a[1, p, m] * rows[0, j, m]
+    return s0, s1
 
 
 # ------------------------------------------------------------------------------------------------- RLS
@@ -222,6 +289,42 @@ def explained_one(wavelength: float, wavefront: int, geometry: ndarray, M: int, 
     return total[0]
 
 
+@_compiled(_SUMS)
+def explained_and_gradient(
+    wavelength: float, wavefront: int, geometry: ndarray, M: int, L: ndarray, x: ndarray
+) -> tuple[float, ndarray]:
+    """‖aᴴL‖² and 2Re(∂aᴴ·v), v = LLᴴa, of one candidate."""
+    X = np.expand_dims(x, 0)
+    a, v, total, gradient = (
+        np.empty((2, 1, geometry.shape[1])),
+        np.zeros((2, 1, geometry.shape[1])),
+        0.0,
+        np.empty(len(x)),
+    )
+    _respond(X, 0, 0, len(x) - 1, wavelength, wavefront, geometry, M, a, 0)
+    for j in range(_u(0), _u(L.shape[1]), _u(ROWS)):
+        start = j // _u(LANES) * _u(LANES)
+        b0, b1, b2, b3, b4, b5, b6, b7 = _four(a, _u(0), L, j, start)
+        total += ((b0 * b0 + b1 * b1) + (b2 * b2 + b3 * b3)) + ((b4 * b4 + b5 * b5) + (b6 * b6 + b7 * b7))
+        for m in range(start, _u(geometry.shape[1])):
+            v[0, 0, m] += (
+                (L[0, j, m] * b0 + L[1, j, m] * b1)
+                + (L[0, j + _u(1), m] * b2 + L[1, j + _u(1), m] * b3)
+                + (L[0, j + _u(2), m] * b4 + L[1, j + _u(2), m] * b5)
+                + (L[0, j + _u(3), m] * b6 + L[1, j + _u(3), m] * b7)
+            )
+            v[1, 0, m] += (
+                (L[1, j, m] * b0 - L[0, j, m] * b1)
+                + (L[1, j + _u(1), m] * b2 - L[0, j + _u(1), m] * b3)
+                + (L[1, j + _u(2), m] * b4 - L[0, j + _u(2), m] * b5)
+                + (L[1, j + _u(3), m] * b6 - L[0, j + _u(3), m] * b7)
+            )
+    for m in range(geometry.shape[1]):  # ∂a = j2π·∂t·a, so 2Re(∂aᴴv) = 4π·∂t·Im(a*v)
+        v[0, 0, m] = 4.0 * math.pi * (a[0, 0, m] * v[1, 0, m] - a[1, 0, m] * v[0, 0, m])
+    _pull(X, 0, 0, len(x) - 1, wavelength, wavefront, geometry, v, 0, gradient)
+    return total, gradient
+
+
 @_compiled()
 def repulsion(detected: ndarray, alpha: float, delta_min: float, X: ndarray) -> ndarray:
     """Σ_i α·max(0, δ_min − ‖θ − θ_i‖) of p candidates."""
@@ -268,6 +371,10 @@ def _esf_point(
     for j in range(K):
         _respond(X, i, j * d, d - 1, wavelength, wavefront, geometry, M, rows, K + j)
         for k in range(_u(0), _u(K + j), _u(ROWS)):
+            if k + _u(1) == _u(K + j):  # as for K = 3, of which 12 products are asked
+                s0, s1 = _one(rows, _u(K + j), rows, k)
+                h[k] = complex(s0, s1)
+                break
             s0, s1, s2, s3, s4, s5, s6, s7 = _four(rows, _u(K + j), rows, k, _u(0))
             h[k] = complex(s0, s1)
             h[k + _u(1)] = complex(s2, s3)
@@ -325,6 +432,41 @@ def esf_one(
     return _esf_point(np.expand_dims(x, 0), 0, wavelength, wavefront, geometry, M, K, least, rows, h, L, W)
 
 
+@_compiled(_SUMS)
+def esf_and_gradient(
+    wavelength: float, wavefront: int, geometry: ndarray, M: int, K: int, least: float, U: ndarray, x: ndarray
+) -> tuple[float, ndarray]:
+    """J and ∂J = −2Re tr(Vᴴ·∂A·C) of one candidate: C = A⁺U_s, V = U_s − AC, and θ_k moves column k of A alone."""
+    X = np.expand_dims(x, 0)
+    rows, h, L, W = _esf_scratch(geometry, K, U)
+    J = _esf_point(X, 0, wavelength, wavefront, geometry, M, K, least, rows, h, L, W)
+    for j in range(K - 1, -1, -1):  # C = L⁻ᴴW, in the place of W
+        for c in range(K):
+            w = W[j, c]
+            for k in range(j + 1, K):
+                w -= L[k, j].conjugate() * W[k, c]
+            W[j, c] = w * (1.0 / L[j, j].real)
+    d = len(x) // K
+    gradient = np.empty(len(x))
+    z = np.empty((2, 1, geometry.shape[1]))
+    for k in range(K):
+        for c in range(K):  # z = V*·C_k = [U_s, A]*·[C_k, −C*C_k]
+            h[c] = W[k, c]
+            h[K + c] = 0.0
+            for i in range(K):
+                h[K + c] -= W[c, i].conjugate() * W[k, i]
+        z[:] = 0.0
+        for c in range(_u(2 * K)):
+            re, im = h[c].real, h[c].imag
+            for m in range(_u(geometry.shape[1])):
+                z[0, 0, m] += rows[0, c, m] * re + rows[1, c, m] * im
+                z[1, 0, m] += rows[0, c, m] * im - rows[1, c, m] * re
+        for m in range(geometry.shape[1]):  # ∂a = j2π·∂t·a, so −2Re(∂a·z) = 4π·∂t·Im(a·z)
+            z[0, 0, m] = 4.0 * math.pi * (rows[0, K + k, m] * z[1, 0, m] + rows[1, K + k, m] * z[0, 0, m])
+        _pull(X, 0, k * d, d - 1, wavelength, wavefront, geometry, z, 0, gradient)
+    return J, gradient
+
+
 # ------------------------------------------------------------------------------------------------- compilation
 
 _MANIFOLD = (types.float64, types.int64, types.float64[:, ::1], types.int64)  # λ, wavefront, geometry, M
@@ -335,10 +477,12 @@ _SIGNATURES: list[tuple[Any, tuple[Any, ...]]] = [
     (phasors, (types.float64[::1],) * 3),  # the quickest to compile
     (explained, (*_MANIFOLD, _ROWS, _MANY)),
     (explained_one, (*_MANIFOLD, _ROWS, _ONE)),
+    (explained_and_gradient, (*_MANIFOLD, _ROWS, _ONE)),
     (repulsion, (*_REPULSION, _MANY)),
     (repulsion_one, (*_REPULSION, _ONE)),
     (esf, (*_MANIFOLD, types.int64, types.float64, _ROWS, _MANY)),
     (esf_one, (*_MANIFOLD, types.int64, types.float64, _ROWS, _ONE)),
+    (esf_and_gradient, (*_MANIFOLD, types.int64, types.float64, _ROWS, _ONE)),
 ]
 
 

@@ -54,10 +54,10 @@ class RLS(Problem):
         self.lower, self.upper = lower, upper
         self._manifold = manifold
         kernels.warm_up()
-        self._L = compress(Y)
-        factor = *manifold.packed, kernels.pack_rows(self._L)
+        factor = *manifold.packed, kernels.pack_rows(compress(Y))
         self._explained = partial(kernels.explained, *factor)  # ‖aᴴL‖² of points
         self._explained_one = partial(kernels.explained_one, *factor)  # and of one
+        self._explained_and_gradient = partial(kernels.explained_and_gradient, *factor)
         self._energy = float(np.vdot(Y, Y).real)
         self._detected = np.empty((0, manifold.dimension)) if detected is None else detected
         self._alpha = alpha if alpha_relative is None else alpha_relative * self._energy / manifold.elements
@@ -76,14 +76,17 @@ class RLS(Problem):
 
     def value_and_gradient(self, x: Float[ndarray, " n"]) -> tuple[float, Float[ndarray, " n"]]:
         """The value and the gradient; of the repulsion a subgradient, zero where it has a kink."""
-        a, D = self._manifold.response_and_derivatives(x[None])
-        c = (self._L @ (a[0].conj() @ self._L).conj()).conj()  # the conjugate of LLᴴa
-        gradient = -2 / self._manifold.elements * (D[0] @ c).real  # −2/M·Re(∂aᵀ·(LLᴴa)*)
+        M = self._manifold.elements
+        explained, slope = self._explained_and_gradient(x)
+        gradient: Float[ndarray, " n"] = -slope / M
+        value = max(self._energy - explained / M, 0.0)
+        if not len(self._detected):
+            return value, gradient
         away = x - self._detected
         distance = np.linalg.norm(away, axis=1)
         near = (distance > 0) & (distance < self._delta_min)
         gradient -= self._alpha * np.sum(away[near] / distance[near, None], axis=0)
-        return self.value(x), gradient
+        return value + self._repulsion_one(x), gradient
 
 
 def deflate(Y: Complex[ndarray, "m t"], a: Complex[ndarray, " m"]) -> Complex[ndarray, "m t"]:

@@ -138,7 +138,9 @@ def batches(all_cases: list[Case]) -> Table:
 
 def single_points(all_cases: list[Case]) -> Table:
     """The kernel's own cost is that of a point in a batch of 100; all the rest of a metered call is overhead."""
-    table = Table("one point", "µs", "÷ NumPy", "in a batch µs", "call adds µs", "meter adds µs")
+    table = Table(
+        "one point", "µs", "÷ NumPy", "in a batch µs", "call adds µs", "meter adds µs", "gradient µs", "÷ NumPy"
+    )
     rng = np.random.default_rng(1)
     for case in all_cases:
         X = rng.uniform(case.fast.lower, case.fast.upper, (BATCH, case.fast.dimension))
@@ -149,8 +151,10 @@ def single_points(all_cases: list[Case]) -> Table:
             lambda f=case.plain, x=x: f.value(x),
             lambda m=meter, x=x: m(x),
             lambda f=case.fast, X=X: f.evaluate(X),
+            lambda f=case.fast, x=x: f.value_and_gradient(x),
+            lambda f=case.plain, x=x: f.value_and_gradient(x),
         ]
-        fast, plain, metered, batch = in_turn(calls, [500, 50, 500, 10])
+        fast, plain, metered, batch, slope, plain_slope = in_turn(calls, [500, 50, 500, 10, 200, 20])
         table.add_row(
             case.name,
             f"{1e6 * statistics.median(fast):.2f}",
@@ -158,6 +162,8 @@ def single_points(all_cases: list[Case]) -> Table:
             f"{1e6 * statistics.median(batch) / BATCH:.2f}",
             f"{1e6 * statistics.median(f - b / BATCH for f, b in zip(fast, batch, strict=True)):.2f}",
             f"{1e6 * statistics.median(m - f for m, f in zip(metered, fast, strict=True)):.2f}",
+            f"{1e6 * statistics.median(slope):.2f}",
+            f"{ratio(plain_slope, slope):.1f}",
         )
     return table
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy import ndarray
+from scipy.linalg import solve_triangular
 
 from nfbench import Problem
 from nfbench.problems.esf import RIDGE
@@ -13,6 +14,8 @@ from nfbench.problems.wavefronts import Manifold
 
 class NumPyRLS(Problem):
     """J(θ) = ‖(I − P_a)Y‖²_F + the repulsion, as one matrix product for all points."""
+
+    has_gradient = True
 
     def __init__(
         self,
@@ -44,6 +47,17 @@ class NumPyRLS(Problem):
         residual = max(self.energy - float(np.vdot(b, b).real) / self.manifold.elements, 0.0)
         return residual + float(self.repulsion(x[None])[0]) if len(self.detected) else residual
 
+    def value_and_gradient(self, x: ndarray) -> tuple[float, ndarray]:
+        a, D = self.manifold.response_and_derivatives(x[None])
+        b = a[0] @ self.conj_L
+        c = self.conj_L @ b.conj()  # the conjugate of LLᴴa
+        gradient = -2 / self.manifold.elements * (D[0] @ c).real
+        away = x - self.detected
+        distance = np.linalg.norm(away, axis=1)
+        near = (distance > 0) & (distance < self.delta_min)
+        gradient -= self.alpha * np.sum(away[near] / distance[near, None], axis=0)
+        return self.value(x), gradient
+
     def repulsion(self, X: ndarray) -> ndarray:
         distance = np.linalg.norm(X[:, None] - self.detected, axis=-1)
         return self.alpha * np.sum(np.maximum(0.0, self.delta_min - distance), axis=1)
@@ -52,22 +66,32 @@ class NumPyRLS(Problem):
 class NumPyESF(Problem):
     """J(x) = K − tr(BᴴG⁻¹B), one Cholesky for all points."""
 
+    has_gradient = True
+
     def __init__(self, U_s: ndarray, manifold: Manifold, lower: ndarray, upper: ndarray) -> None:
         self.sources = U_s.shape[1]
         self.lower, self.upper = np.tile(lower, self.sources), np.tile(upper, self.sources)
         self.manifold = manifold
-        self.conj_U_s = np.ascontiguousarray(U_s.conj())
+        self.U_s, self.conj_U_s = U_s, np.ascontiguousarray(U_s.conj())
 
     def evaluate(self, X: ndarray) -> ndarray:
         p, K, M = len(X), self.sources, self.manifold.elements
         A = self.manifold.response(X.reshape(-1, self.manifold.dimension))  # one response a row
         B = (A @ self.conj_U_s).conj()
-        W = whiten(A.reshape(p, K, M), B.reshape(p, K, K))
+        _, W = whiten(A.reshape(p, K, M), B.reshape(p, K, K))
         return np.maximum(K - np.sum(W.real**2 + W.imag**2, axis=(0, 2)), 0.0)
 
+    def value_and_gradient(self, x: ndarray) -> tuple[float, ndarray]:
+        A, D = self.manifold.response_and_derivatives(x.reshape(self.sources, -1))
+        L, W = whiten(A[None], (A.conj() @ self.U_s)[None])
+        value = max(self.sources - float(np.vdot(W, W).real), 0.0)
+        C = solve_triangular(L[:, :, 0], W[:, 0], lower=True, trans="C")  # A⁺U_s = G⁻¹B
+        V = self.U_s - A.T @ C  # (I − P_A)U_s
+        return value, -2 * np.einsum("kdm,mk->kd", D, V.conj() @ C.T).real.ravel()
 
-def whiten(A: ndarray, B: ndarray) -> ndarray:
-    """W = L⁻¹B (K, p, K) with G = AᴴA = LLᴴ, pivots of at least RIDGE·M; A (p, K, M), B (p, K, K)."""
+
+def whiten(A: ndarray, B: ndarray) -> tuple[ndarray, ndarray]:
+    """L (K, K, p) and W = L⁻¹B (K, p, K) with G = AᴴA = LLᴴ, pivots of at least RIDGE·M; A (p, K, M), B (p, K, K)."""
     p, K, M = A.shape
     L = np.zeros((K, K, p), dtype=np.complex128)
     W = np.empty((K, p, B.shape[2]), dtype=np.complex128)
@@ -81,4 +105,4 @@ def whiten(A: ndarray, B: ndarray) -> ndarray:
             rest -= L[j, k][:, None] * W[k]
         L[j, j] = root = np.sqrt(np.maximum(pivot, RIDGE * M))
         W[j] = rest / root[:, None]
-    return W
+    return L, W

@@ -131,6 +131,25 @@ def test_a_value_does_not_depend_on_what_it_is_evaluated_with(array, wavefront, 
         assert problem.value(frozen[5]) == problem.value(np.asfortranarray(X)[5]) == values[5]
 
 
+@EVERY
+def test_gradients_agree_with_numpy(array, wavefront, has_elevation):
+    manifold = manifold_of(array, wavefront, has_elevation)
+    Y, bounds = data(manifold, 3, 60), box(manifold)
+    U_s, near = signal_subspace(Y, 3), points(*bounds)[:2] + 0.01
+    for fast, plain in (
+        (RLS(Y, manifold, *bounds), NumPyRLS(Y, manifold, *bounds)),
+        (RLS(Y, manifold, *bounds, detected=near), NumPyRLS(Y, manifold, *bounds, detected=near)),
+        (ESF(U_s, manifold, *bounds), NumPyESF(U_s, manifold, *bounds)),
+    ):
+        for x in points(fast.lower, fast.upper)[:41]:
+            value, gradient = fast.value_and_gradient(x)
+            expected_value, expected = plain.value_and_gradient(x)
+            condition = np.linalg.cond(manifold.response(x.reshape(-1, manifold.dimension))) ** 2
+            assert value == pytest.approx(fast.value(x), rel=1e-12)
+            assert value == pytest.approx(expected_value, rel=1e-10)
+            assert_allclose(gradient, expected, rtol=1e-10, atol=1e-13 * condition * np.abs(expected).max())
+
+
 def test_nothing_is_compiled_after_the_warm_up():
     kernels.warm_up()
     with pytest.raises(TypeError, match="No matching definition"):
