@@ -104,12 +104,20 @@ def print_comparison(found: Comparison, console: Console) -> None:
 
 
 def _frame(frame: pd.DataFrame) -> Table:
+    """A frame whose ``<name>_first``, ``<name>_second`` are shown as one column ``first → second``."""
+    names = list(dict.fromkeys(name.removesuffix("_first").removesuffix("_second") for name in frame.columns))
     table = Table(box=SIMPLE_HEAD, pad_edge=False)
-    for name in frame.columns:
-        table.add_column(str(name), overflow="fold")
-    for row in frame.itertuples(index=False):
-        table.add_row(*(f"{cell:.6g}" if isinstance(cell, float) else escape(str(cell)) for cell in row))
+    for name in names:
+        table.add_column(name.removeprefix("scenario."), overflow="fold")
+    for row in frame.to_dict("records"):
+        table.add_row(*(escape(_before_after(row, name)) for name in names))
     return table
+
+
+def _before_after(row: dict[Any, Any], name: str) -> str:
+    sides = [row[key] for key in (name, f"{name}_first", f"{name}_second") if key in row]
+    texts = [_number(side) if isinstance(side, float) else str(side) for side in sides]
+    return " → ".join(dict.fromkeys(texts))
 
 
 def _by_point(summary: pd.DataFrame, runs: pd.DataFrame) -> Iterator[tuple[str, pd.DataFrame, pd.DataFrame]]:
