@@ -498,6 +498,6 @@ def warm_up() -> None:
             kernel.disable_compile()
             misses = kernel.stats.cache_misses
             if kernel is phasors and misses:
-                print("nfbench: compiling kernels (once a machine, some 20 s) …", file=sys.stderr, flush=True)
+                print("nfbench: compiling kernels (once a machine, some 15 s) …", file=sys.stderr, flush=True)
     except (numba.core.errors.NumbaError, OSError, RuntimeError) as error:
         raise NfbenchError(f"kernels: Numba {numba.__version__} cannot compile here: {error}; {_REMEDY}") from error

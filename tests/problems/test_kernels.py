@@ -15,7 +15,7 @@ from nfbench.problems.arrays import UCA, ULA, UPA
 from nfbench.problems.channels import complex_normal
 from nfbench.problems.esf import ESF
 from nfbench.problems.rls import RLS
-from nfbench.problems.subspace import signal_subspace
+from nfbench.problems.subspace import compress, signal_subspace
 from nfbench.problems.wavefronts import Manifold
 
 sys.path.append(str(Path(__file__).parent.parent / "benchmarks"))
@@ -150,6 +150,16 @@ def test_gradients_agree_with_numpy(array, wavefront, has_elevation):
             assert_allclose(gradient, expected, rtol=1e-10, atol=1e-13 * condition * np.abs(expected).max())
 
 
+def test_the_music_form_through_the_same_kernel():
+    """M − ‖U_sᴴa‖², for a subspace wider than a block of rows."""
+    manifold = manifold_of("ula", "exact", False)
+    U_s = signal_subspace(data(manifold, 20, 60), 20)
+    X = points(*box(manifold))
+    explained = kernels.explained(*manifold.packed, kernels.pack_rows(compress(U_s)), X)
+    expected = np.linalg.norm(manifold.response(X) @ U_s.conj(), axis=1) ** 2
+    assert_allclose(explained, expected, rtol=1e-12)
+
+
 def test_nothing_is_compiled_after_the_warm_up():
     kernels.warm_up()
     with pytest.raises(TypeError, match="No matching definition"):
@@ -174,6 +184,23 @@ def test_the_first_use_says_that_it_compiles_and_the_second_is_silent(tmp_path):
     assert len(first.stderr.splitlines()) == 1
     assert second.stderr == ""
     assert first.stdout.startswith(str(tmp_path))
+
+
+def test_a_read_only_install_keeps_its_cache_in_the_users_folder(tmp_path):
+    copy = tmp_path / "install" / "kernels.py"
+    copy.parent.mkdir()
+    copy.write_text(Path(kernels.__file__).read_text(encoding="utf-8"), encoding="utf-8")
+    (copy.parent / "__pycache__").write_text("no folder can be made here, not even by root")
+    code = f"import runpy; print(runpy.run_path({str(copy)!r})['esf'].stats.cache_path)"
+    environment = {name: value for name, value in os.environ.items() if name != "NUMBA_CACHE_DIR"}
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        env={**environment, "HOME": str(tmp_path), "XDG_CACHE_HOME": str(tmp_path / "cache")},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert done.stdout.startswith(str(tmp_path / "cache"))
 
 
 def test_where_no_cache_can_be_kept_the_error_says_what_to_do():
