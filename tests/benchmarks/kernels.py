@@ -8,7 +8,6 @@ possible because the factor is triangular and half of Hermitian matrices is redu
 
 from __future__ import annotations
 
-import platform
 import statistics
 import time
 from collections.abc import Callable
@@ -21,6 +20,7 @@ from rich.table import Table
 from threadpoolctl import threadpool_limits
 
 from nfbench import Budget, MeteredProblem, Problem, minimize
+from nfbench.environment import describe_environment
 from nfbench.problems import kernels, neef, nemo
 from nfbench.problems.esf import ESF
 from nfbench.problems.instance import NearFieldInstance
@@ -265,7 +265,7 @@ def main() -> None:
         "UPA 256, T = 100, exact": SPACE.draw(np.random.default_rng(0)),
     }
     all_cases = [case for name, instance in instances.items() for case in cases(name, instance)]
-    console.print(f"{platform.processor() or platform.machine()}, one thread, K = 3")
+    console.print(f"{describe_environment()['cpu']}, one thread, K = 3")
     for table in (batches(all_cases), single_points(all_cases), whole_runs(instances)):
         console.print(table)
     console.print(grids(instances, [(400, 2000), (200, 200, 400)]))
