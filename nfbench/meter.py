@@ -102,8 +102,8 @@ class MeteredProblem(Problem):
         values = np.array(self._problem.evaluate(batch), dtype=np.float64)
         if values.shape != (len(batch),):
             self._refuse(f"the problem: expected values of shape ({len(batch)},), got {values.shape}")
-        finite = np.isfinite(values)
-        if not finite.all():
+        if not (values.min() > -math.inf and values.max() < math.inf):  # false for NaN too
+            finite = np.isfinite(values)
             self.nonfinite += int(np.count_nonzero(~finite))
             values[~finite] = math.inf
         self._note_batch(batch, values)
@@ -155,6 +155,8 @@ class MeteredProblem(Problem):
         """Trace each improvement at its own place within the batch, as if evaluated one by one."""
         before = self.evaluations
         self.evaluations += len(values)
+        if before and values.min() >= self.best_value:
+            return
         best_before = np.minimum.accumulate(np.concatenate([[self.best_value], values[:-1]]))
         improved = values < best_before
         improved[0] |= before == 0

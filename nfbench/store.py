@@ -226,6 +226,8 @@ class Store:
     def _opened_to_read(self) -> sqlite3.Connection:
         db = sqlite3.connect(f"{self.path.resolve().as_uri()}?mode=ro", uri=True, timeout=10)
         schema = _schema(db)
+        if schema is None:
+            raise StoreError(f"{self.path} holds no study yet; where one has just been started, try again")
         if schema != SCHEMA:
             raise StoreError(f"{self.path}: expected schema {SCHEMA}, found {schema}; `nfbench run` can update it")
         return db

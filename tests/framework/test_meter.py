@@ -117,6 +117,12 @@ def test_a_value_that_is_not_finite_is_counted_and_never_the_best(bad):
     assert (meter.nonfinite, meter.evaluations, meter.best_value) == (3, 5, 2.0)
 
 
+def test_infinities_of_both_signs_and_huge_values_in_one_batch():
+    _, meter = metered(values=[math.inf, -math.inf, 1e200, math.nan])
+    assert meter.evaluate(np.zeros((4, 2))).tolist() == [math.inf, math.inf, 1e200, math.inf]
+    assert (meter.nonfinite, meter.best_value) == (3, 1e200)
+
+
 @pytest.mark.parametrize("x", [[1.0000000001, 0], [0, -1.1], [math.nan, 0], [math.inf, 0]])
 @pytest.mark.parametrize("n", [2, 40])
 def test_a_point_outside_the_box_is_refused_and_not_evaluated(x, n):
