@@ -31,7 +31,7 @@ kind = "oracle"
 """
 REAL = """
 name = "real"
-repetitions = 24
+repetitions = 150
 seed = 1
 [scenario]
 kind = "near-field"
@@ -102,7 +102,7 @@ def main(runs: int) -> None:
                 seconds.append(session_seconds(out))
             rates.append(seconds[0] / seconds[1] / 2)
         size = (folder / "real-0-1" / "runs.sqlite").stat().st_size
-        table.add_row("NEMO + DE with its three traces", f"{size / 24 / 1024:.0f} KiB a row")
+        table.add_row("NEMO + DE with its three traces", f"{size / 150 / 1024:.0f} KiB a row")
         shown = ", ".join(f"{rate:.2f}" for rate in rates)
         table.add_row("rate of 2 workers over twice that of 1", f"{statistics.median(rates):.2f} (of {shown})")
     Console(width=110).print(table)
