@@ -91,6 +91,7 @@ class LiveView:
         self._start = time.monotonic()
 
     def begin(self, total: int, done: int) -> None:
+        self._start = time.monotonic()
         self._task = self._bar.add_task("runs", total=total, completed=done, rate="")
 
     def finished(self, spec: RunSpec, record: RunRecord) -> None:
@@ -132,6 +133,7 @@ class Lines:
 
     def begin(self, total: int, done: int) -> None:
         self._total, self._done, self._before = total, done, done
+        self._start = self._last = time.monotonic()
         before = f"{done} of {total} runs were done before, " if done else ""
         self._console.print(f"{before}{total - done} runs to do")
 

@@ -154,11 +154,11 @@ def run(
         todo = store.open_ordinals()
         total = sum(store.counts().values())
         log.info("%d of %d runs to do, %s", len(todo), total, cluster or f"{jobs} jobs")
-        if listener:
-            listener.begin(total, total - len(todo))
         started = datetime.now(UTC)
         if todo and not cluster:
             _warm_up(study)
+        if listener:
+            listener.begin(total, total - len(todo))
         batches = _batches(study, todo, jobs, cluster, stop)
         try:
             for batch in batches:
