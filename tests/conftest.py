@@ -3,7 +3,14 @@
 import textwrap
 from pathlib import Path
 
+import jaxtyping
 import pytest
+
+# array shapes are checked while tests run, where no test feeds wrong shapes on purpose; before these are imported
+jaxtyping.install_import_hook(
+    [f"nfbench.problems.{name}" for name in ("channels", "geometry", "subspace", "wavefronts")],
+    "beartype.beartype",
+)
 
 PLUGINS = Path(__file__).parent / "plugins"
 PROJECT = Path(__file__).parent.parent

@@ -177,3 +177,12 @@ def test_derivatives_give_the_checked_cramer_rao_bounds(snr_db, bounds):
     theta = np.array([[math.radians(-35), 4.0], [math.radians(5), 8.0], [math.radians(40), 12.0]])
     manifold = Manifold(positions, WAVELENGTH, "exact", False)
     assert_allclose(oracles.position_bounds(manifold, theta, snr_db, 200), bounds, rtol=0, atol=6e-5)
+
+
+def test_array_shapes_are_checked_while_tests_run():
+    from jaxtyping import TypeCheckError
+
+    from nfbench.problems.subspace import compress
+
+    with pytest.raises(TypeCheckError):
+        compress(np.ones(3))
