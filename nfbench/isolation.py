@@ -82,11 +82,10 @@ class Isolated:
         It can be cancelled until the run starts.
         """
         future: Future[RunRecord] = Future()
-        if self._error is not None:
-            future.set_exception(self._error)
-            return future
         self._queue.append((spec, future))
         self._wake()
+        if not self._supervisor.is_alive():
+            self._give_up()
         return future
 
     def _wake(self) -> None:
@@ -107,10 +106,20 @@ class Isolated:
             self._error = error if isinstance(error, NfbenchError) else NfbenchError(f"the engine failed: {error!r}")
         finally:
             self._end_workers()
-            for _, future in self._queue:
-                if self._error is not None and future.set_running_or_notify_cancel():
-                    future.set_exception(self._error)
+            self._give_up()
+
+    def _give_up(self) -> None:
+        """Every run that is still queued or in a worker ends in the engine's error; without one, it is cancelled."""
+        for each in self._workers:
+            if each.future and self._error is not None:
+                each.future.set_exception(self._error)
+            each.spec = each.future = None
+        while self._queue:
+            _, future = self._queue.popleft()
+            if self._error is None:
                 future.cancel()
+            elif future.set_running_or_notify_cancel():
+                future.set_exception(self._error)
 
     def _start_workers(self) -> None:
         """As many as there is work for. Where none can start, that is an error of the place, not of the runs."""

@@ -14,7 +14,8 @@ import pytest
 from conftest import BASIC
 
 import nfbench
-from nfbench import Status, StoreError, load_study
+from nfbench import NfbenchError, Status, StoreError, load_study
+from nfbench.isolation import Isolated
 
 TIMES = ["runtime_s", "cpu_s"]
 HOSTILE = {
@@ -246,3 +247,20 @@ def test_a_script_without_a_main_guard_is_told_and_loses_nothing(dawdling, tmp_p
     assert done.returncode == 1
     assert 'below `if __name__ == "__main__":`' in done.stderr.splitlines()[-1]
     assert nfbench.Results(tmp_path / "out").counts == {"open": 80}
+
+
+def test_where_a_process_cannot_be_started_every_run_is_told_also_those_in_flight(manifest):
+    study = load_study(manifest(BASIC.replace('"sampler"', '"sleeps"')))
+    first, second, third = study.specs()
+    with Isolated(study.plugins, jobs=2) as workers:
+        running = workers.submit(first)
+        while not running.running():
+            time.sleep(0.02)
+
+        def refuse(**options):
+            raise OSError("no more processes")
+
+        workers._spawn.Process = refuse
+        for future in (workers.submit(second), running, workers.submit(third)):
+            with pytest.raises(NfbenchError, match="the engine failed: OSError"):
+                future.result(timeout=20)
