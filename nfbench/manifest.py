@@ -231,7 +231,7 @@ def _with(table: Table, setting: Table) -> Table:
         for key in outer:
             inner = inner.setdefault(key, {})
             if not isinstance(inner, dict):
-                inner = table = {path: value}  # reported as an unknown option of that name
+                return {**table, path: value}  # reported as an unknown option of that name
         inner[last] = value
     return table
 

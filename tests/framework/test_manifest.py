@@ -253,3 +253,9 @@ def test_a_formulation_may_have_its_own_budget(manifest):
     assert problems(manifest(text.replace("{ evaluations = 7, seconds = 2.0 }", "7"))) == [
         "formulation[1].budget: expected a table, got 7"
     ]
+
+
+def test_a_swept_path_through_a_number_is_an_unknown_option(manifest):
+    path = manifest(BASIC + "[sweep]\n'noise.floor' = [1]\n", scenario="noise = 0.5")
+    (problem,) = problems(path)
+    assert problem.startswith("sweep.noise.floor[0]: unknown option")
