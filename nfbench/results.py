@@ -201,8 +201,10 @@ def _warm_up(study: Study) -> None:
 def _write_environment(folder: Path, environment: dict[str, Any], jobs: int | str, started: datetime) -> None:
     """``environment.json``: this session, and those before it under ``earlier``."""
     path = folder / "environment.json"
-    before = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else None
-    earlier = [*before.pop("earlier", []), before] if before else []
+    earlier = []
+    with contextlib.suppress(OSError, ValueError):  # none, or spoilt by hand: this session is still written
+        before = json.loads(path.read_text(encoding="utf-8"))
+        earlier = [*before.pop("earlier", []), before]
     times = {"started": started.isoformat(), "ended": datetime.now(UTC).isoformat()}
     text = json.dumps({**environment, "jobs": jobs, **times, "earlier": earlier}, indent=2) + "\n"
     _write(path, lambda draft: draft.write_text(text, encoding="utf-8"))
