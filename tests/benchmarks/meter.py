@@ -11,13 +11,13 @@ import time
 from collections.abc import Callable
 
 import numpy as np
+from kernels import PLANE
 from rich.console import Console
 from rich.table import Table
 from threadpoolctl import threadpool_limits
 
 from nfbench import Budget, MeteredProblem, Problem
 from nfbench.problems.esf import ESF
-from nfbench.problems.scenario import NearField
 from nfbench.problems.subspace import signal_subspace
 
 ROUNDS = 41
@@ -53,7 +53,7 @@ def paired(bare: Callable[[], object], metered: Callable[[], object], number: in
 def main() -> None:
     table = Table("problem", "call", "bare µs", "meter adds µs", "share")
     rng = np.random.default_rng(0)
-    instance = SCENARIO.draw(rng)
+    instance = PLANE.draw(rng)
     esf = ESF(signal_subspace(instance.Y, 3), instance.manifold, instance.lower, instance.upper)
     for name, problem, number in (
         ("free, n = 2", Free(2), 2000),
@@ -71,17 +71,6 @@ def main() -> None:
             table.add_row(name, call, f"{cost:.2f}", f"{extra:.2f}", f"{extra / (cost + extra):.1%}")
     Console().print(table)
 
-
-SCENARIO = NearField(
-    array={"kind": "ula", "elements": 128, "spacing_wavelengths": 0.25, "origin": "first"},
-    wavelength_m=0.02,
-    wavefront="paper",
-    sources=3,
-    snapshots=200,
-    snr_db=20.0,
-    azimuth_deg=(-60, 60),
-    range_m=(1.27, 20.16),
-)
 
 if __name__ == "__main__":
     with threadpool_limits(1):
