@@ -249,7 +249,7 @@ def test_a_script_without_a_main_guard_is_told_and_loses_nothing(dawdling, tmp_p
     assert nfbench.Results(tmp_path / "out").counts == {"open": 80}
 
 
-def test_where_a_process_cannot_be_started_every_run_is_told_also_those_in_flight(manifest):
+def test_where_a_process_cannot_be_started_every_run_is_told_also_those_in_flight(manifest, monkeypatch):
     study = load_study(manifest(BASIC.replace('"sampler"', '"sleeps"')))
     first, second, third = study.specs()
     with Isolated(study.plugins, jobs=2) as workers:
@@ -260,7 +260,7 @@ def test_where_a_process_cannot_be_started_every_run_is_told_also_those_in_fligh
         def refuse(**options):
             raise OSError("no more processes")
 
-        workers._spawn.Process = refuse
+        monkeypatch.setattr(workers._spawn, "Process", refuse)
         for future in (workers.submit(second), running, workers.submit(third)):
             with pytest.raises(NfbenchError, match="the engine failed: OSError"):
                 future.result(timeout=20)
