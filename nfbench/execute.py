@@ -104,6 +104,8 @@ class _Attempt:
         formulation = cast(Formulation, self._make("formulation", method.formulation))
         solver = cast(Solver, self._make("solver", method.solver)) if method.solver else None
         budget = Budget(**method.budget) if method.budget else None
+        if solver:
+            solver.warm_up()
         instance = scenario.draw(np.random.default_rng(self.spec.instance_seed))
 
         def minimize_next(problem: Problem) -> Minimum:

@@ -19,6 +19,7 @@ from .trace import Recorder, Trace
 
 __all__ = ["MeteredProblem"]
 
+_FLOAT64 = np.dtype(np.float64)
 _SMALL = 32  # up to this dimension a Python loop over the bounds is faster than NumPy's
 
 
@@ -49,9 +50,11 @@ class MeteredProblem(Problem):
         self._target = budget.target if budget.target is not None else -math.inf
         self._shape = self.lower.shape
         self._lower, self._upper = self.lower.tolist(), self.upper.tolist()
+        self._lowers, self._uppers = self.lower[None], self.upper[None]  # a row a point: faster than to broadcast
+        self._small = len(self._lower) <= _SMALL
         self._recorder = Recorder()
         self._start = time.perf_counter()
-        self._deadline = self._start + budget.seconds if budget.seconds is not None else math.inf
+        self._deadline = self._start + budget.seconds if budget.seconds is not None else None
 
     @property
     def remaining(self) -> int:
@@ -79,12 +82,15 @@ class MeteredProblem(Problem):
 
     def __call__(self, x: Float[ndarray, " n"]) -> float:
         """The value at one point ``(n,)``."""
-        if type(x) is not ndarray or x.dtype != np.float64:
+        if type(x) is not ndarray or x.dtype is not _FLOAT64:
             x = np.asarray(x, dtype=np.float64)
         self._admit(x)
         value = self._value(x)
-        if not isinstance(value, float):
+        if type(value) is not float:
             value = self._scalar(value)
+        if self.best_value <= value < math.inf:  # as almost all are; false for NaN
+            self.evaluations += 1
+            return value
         return self._note(x, value)
 
     def evaluate(self, X: Float[ndarray, "p n"]) -> Float[ndarray, " p"]:
@@ -95,18 +101,22 @@ class MeteredProblem(Problem):
         if not len(X):
             return np.empty(0)
         self._check_budget()
-        inside = np.logical_and(self.lower <= X, self.upper >= X).all()  # false for NaN too
-        if not inside:
-            self._refuse(self._outside(X[~np.logical_and(self.lower <= X, self.upper >= X).all(axis=1)][0]))
+        if len(X) != len(self._lowers):
+            self._lowers, self._uppers = (np.tile(bound, (len(X), 1)) for bound in (self.lower, self.upper))
+        inside = np.logical_and(self._lowers <= X, self._uppers >= X)  # false for NaN too
+        if np.count_nonzero(inside) < inside.size:
+            self._refuse(self._outside(X[~inside.all(axis=1)][0]))
         batch = X[: self.remaining]
         values = np.array(self._problem.evaluate(batch), dtype=np.float64)
         if values.shape != (len(batch),):
             self._refuse(f"the problem: expected values of shape ({len(batch)},), got {values.shape}")
-        if not (values.min() > -math.inf and values.max() < math.inf):  # false for NaN too
+        least = values[values.argmin()]
+        if not (least > -math.inf and values[values.argmax()] < math.inf):  # false for NaN too
             finite = np.isfinite(values)
             self.nonfinite += int(np.count_nonzero(~finite))
             values[~finite] = math.inf
-        self._note_batch(batch, values)
+            least = values.min()
+        self._note_batch(batch, values, least)
         if len(batch) < len(X):
             raise BudgetExhausted
         return values
@@ -128,7 +138,7 @@ class MeteredProblem(Problem):
         self._check_budget()
         if x.shape != self._shape:
             self._refuse(f"expected a point of shape {self._shape}, got {x.shape}")
-        if len(x) <= _SMALL:
+        if self._small:
             point = x.tolist()
             inside = all(map(le, self._lower, point)) and all(map(le, point, self._upper))  # false for NaN too
         else:
@@ -137,7 +147,9 @@ class MeteredProblem(Problem):
             self._refuse(self._outside(x))
 
     def _check_budget(self) -> None:
-        if self.evaluations >= self._limit or self.best_value <= self._target or time.perf_counter() >= self._deadline:
+        if self.evaluations >= self._limit or self.best_value <= self._target:
+            raise BudgetExhausted
+        if self._deadline is not None and time.perf_counter() >= self._deadline:
             raise BudgetExhausted
         if self.fault is not None:
             raise InvalidEvaluation(self.fault)
@@ -151,11 +163,11 @@ class MeteredProblem(Problem):
             self._improve(self.evaluations, x, value)
         return value
 
-    def _note_batch(self, batch: ndarray, values: ndarray) -> None:
+    def _note_batch(self, batch: ndarray, values: ndarray, least: float) -> None:
         """Trace each improvement at its own place within the batch, as if evaluated one by one."""
         before = self.evaluations
         self.evaluations += len(values)
-        if before and values.min() >= self.best_value:
+        if least >= self.best_value and before:
             return
         best_before = np.minimum.accumulate(np.concatenate([[self.best_value], values[:-1]]))
         improved = values < best_before

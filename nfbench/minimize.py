@@ -48,6 +48,7 @@ def minimize(problem: Problem, solver: Solver, budget: Budget | int, seed: int |
     raises becomes the status and message of the result; only a bad argument raises here (ValueError).
     """
     budget = Budget(evaluations=budget) if isinstance(budget, int) else budget
+    solver.warm_up()
     meter = MeteredProblem(problem, budget)
     start = time.perf_counter()
     status, message = _drive(solver, meter, np.random.default_rng(seed))

@@ -22,6 +22,7 @@ from .interrupts import Interrupts
 from .log import logging_to
 from .registry import Registry
 from .scenario import Scenario
+from .solver import Solver
 from .store import Store, network_file_system
 from .study import RunSpec, Study
 from .tables import summarize
@@ -191,11 +192,16 @@ def _batches(study: Study, todo: list[int], jobs: int, cluster: str | None, stop
 
 def _warm_up(study: Study) -> None:
     """Once here, where its messages are seen; the workers then find what was compiled."""
-    choice = study.points[0].scenario
-    if not choice.broken:
-        scenario = Registry(study.plugins).make("scenario", choice.kind, choice.options)
-        assert isinstance(scenario, Scenario)
-        scenario.warm_up()
+    registry = Registry(study.plugins)
+    solvers = {method.solver.kind: method.solver for method in study.methods if method.solver}
+    for plugin, choice in [
+        ("scenario", study.points[0].scenario),
+        *(("solver", solver) for solver in solvers.values()),
+    ]:
+        if not choice.broken:
+            part = registry.make(plugin, choice.kind, choice.options)
+            assert isinstance(part, Scenario | Solver)
+            part.warm_up()
 
 
 def _write_environment(folder: Path, environment: dict[str, Any], jobs: int | str, started: datetime) -> None:

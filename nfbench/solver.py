@@ -46,6 +46,9 @@ class Solver(Options, ABC):
 
     info: ClassVar[SolverInfo] = SolverInfo()
 
+    def warm_up(self) -> None:
+        """Compile or load what ``minimize`` needs; called before any clock runs."""
+
     @abstractmethod
     def minimize(self, problem: MeteredProblem, rng: np.random.Generator) -> None:
         """Minimize ``problem`` until its budget is used up or nothing is left to do."""

@@ -49,7 +49,7 @@ class ESF(Problem):
         self._sources = U_s.shape[1]
         self.lower, self.upper = np.tile(lower, self._sources), np.tile(upper, self._sources)
         kernels.warm_up()
-        fit = *manifold.packed, self._sources, RIDGE * manifold.elements, kernels.pack_rows(U_s)
+        fit = *manifold.packed, self._sources, RIDGE * manifold.elements, *kernels.pack_subspace(U_s)
         self._kernel = partial(kernels.esf, *fit)
         self._kernel_one = partial(kernels.esf_one, *fit)
         self._kernel_and_gradient = partial(kernels.esf_and_gradient, *fit)

@@ -5,25 +5,21 @@ multiple of LANES, so that each inner loop is a plain sum which LLVM turns into 
 over. A value does not depend on which other points are evaluated with it. Lengths are in wavelengths and phases in
 turns, for which the reduction to one turn is exact.
 
-Kernels are compiled once a machine and kept on disk: in ``__pycache__`` here, or where that is read-only in the user's
-cache folder (Numba's own order; NUMBA_CACHE_DIR comes before both). ``warm_up`` loads them, before any clock runs.
+Kernels are compiled once a machine and kept on disk; ``warm_up`` loads them, before any clock runs.
 """
 
 from __future__ import annotations
 
 import math
-import sys
-from collections.abc import Callable
 from functools import cache
-from typing import Any, TypeAlias, TypeVar, cast
+from typing import Any, TypeAlias
 
-import numba
 import numpy as np
 from jaxtyping import Complex, Float
 from numba import types
 from numpy import ndarray
 
-from nfbench import NfbenchError
+from nfbench.compiled import compiled, load
 
 __all__ = [
     "WAVEFRONTS",
@@ -35,14 +31,15 @@ __all__ = [
     "explained_one",
     "pack_geometry",
     "pack_rows",
+    "pack_subspace",
     "phasors",
     "repulsion",
     "repulsion_one",
+    "responses",
     "warm_up",
 ]
 
 _Index: TypeAlias = int | np.uint64
-_F = TypeVar("_F", bound=Callable[..., Any])
 
 LANES = 16  # two of the widest SIMD registers (AVX-512), which LLVM keeps in flight per sum
 ROWS = 4  # rows met at once in an inner product: 8 sums in flight hide the latency of a fused multiply-add
@@ -52,20 +49,6 @@ WAVEFRONTS = {"exact": 0, "fresnel": 1, "paper": 2, "planar": 3}
 _u = np.uint64  # an index that is never negative, so that Numba need not ask
 _CONTRACT = {"contract"}  # fused multiply-adds
 _SUMS = {"contract", "reassoc", "nsz"}  # and sums in any order: their rounding is that of BLAS
-_REMEDY = "set NUMBA_CACHE_DIR to a writable folder, or reinstall numba and llvmlite"
-
-
-def _compiled(fastmath: set[str] | bool = False) -> Callable[[_F], _F]:
-    """Numba's njit with what all kernels share: no Python exceptions inside, and a cache on disk."""
-
-    def compiled(function: _F) -> _F:
-        try:
-            kernel = numba.njit(cache=True, error_model="numpy", fastmath=fastmath)(function)
-        except RuntimeError as error:  # no folder to keep the cache in
-            raise NfbenchError(f"kernels: Numba {numba.__version__} cannot be used here: {error}; {_REMEDY}") from error
-        return cast(_F, kernel)
-
-    return compiled
 
 
 def pack_geometry(positions: Float[ndarray, "m 3"], wavelength_m: float) -> Float[ndarray, "4 padded"]:
@@ -79,6 +62,20 @@ def pack_rows(columns: Complex[ndarray, "m c"]) -> Float[ndarray, "2 rows padded
     return np.stack([_pad(part, ROWS) for part in (columns.real.T, columns.imag.T)])
 
 
+def pack_subspace(
+    U_s: Complex[ndarray, "m k"],
+) -> tuple[
+    Float[ndarray, "2 rows padded"], Complex[ndarray, " rows"], Complex[ndarray, "k k"], Complex[ndarray, "k k"]
+]:
+    """U_s with room for K responses after it, and room for h, L and W of one candidate at a time.
+
+    A kernel holds the interpreter's lock while it writes there, so that threads may share it.
+    """
+    K = U_s.shape[1]
+    rows = pack_rows(np.hstack([U_s, np.zeros_like(U_s)]))
+    return rows, np.empty(rows.shape[1], np.complex128), *np.empty((2, K, K), np.complex128)
+
+
 def _pad(rows: ndarray, multiple: int) -> ndarray:
     r, m = rows.shape
     padded = np.zeros((r + -r % multiple, m + -m % LANES))
@@ -89,7 +86,7 @@ def _pad(rows: ndarray, multiple: int) -> ndarray:
 # ------------------------------------------------------------------------------------------------- response vectors
 
 
-@_compiled(_CONTRACT)
+@compiled(_CONTRACT)
 def _sine(g: float) -> float:
     """sin(2πg) for |g| <= 1/4: the minimax polynomial of degree 17, off by 5e-19 before rounding."""
     z = g * g
@@ -105,7 +102,7 @@ def _sine(g: float) -> float:
     return p * g
 
 
-@_compiled(_CONTRACT)
+@compiled(_CONTRACT)
 def _phasor(turns: float) -> tuple[float, float]:
     """cos(2πt) and sin(2πt): both are sines of triangle waves of t, cos of 1/4 − |t| and sin of 1/4 − |1/4 − |t||."""
     t = turns - np.rint(turns)  # exact, |t| <= 1/2
@@ -113,7 +110,7 @@ def _phasor(turns: float) -> tuple[float, float]:
     return _sine(quarter), _sine(math.copysign(0.25 - abs(quarter), t))
 
 
-@_compiled(_CONTRACT)
+@compiled(_CONTRACT)
 def _respond(
     X: ndarray,
     i: int,
@@ -158,7 +155,7 @@ def _respond(
         a[0, row, m] = a[1, row, m] = 0.0
 
 
-@_compiled(_SUMS)
+@compiled(_SUMS)
 def _pull(
     X: ndarray,
     i: int,
@@ -202,17 +199,29 @@ def _pull(
     gradient[first + angles] = gr / wavelength
 
 
-@_compiled()
+@compiled()
 def phasors(turns: ndarray, re: ndarray, im: ndarray) -> None:
     """cos(2πt) and sin(2πt) of a vector; by itself for the tests, and the first to be compiled."""
     for m in range(len(turns)):
         re[m], im[m] = _phasor(turns[m])
 
 
+@compiled()
+def responses(wavelength: float, wavefront: int, geometry: ndarray, M: int, X: ndarray) -> ndarray:
+    """a(θ) of p candidates, one a row."""
+    A = np.empty((len(X), M), np.complex128)
+    a = np.empty((2, 1, geometry.shape[1]))
+    for i in range(len(X)):
+        _respond(X, i, 0, X.shape[1] - 1, wavelength, wavefront, geometry, M, a, 0)
+        for m in range(M):
+            A[i, m] = complex(a[0, 0, m], a[1, 0, m])
+    return A
+
+
 # ------------------------------------------------------------------------------------------------- inner products
 
 
-@_compiled(_SUMS)
+@compiled(_SUMS)
 def _four(
     a: ndarray, p: _Index, rows: ndarray, j: _Index, start: _Index
 ) -> tuple[float, float, float, float, float, float, float, float]:
@@ -231,7 +240,7 @@ def _four(
     return s0, s1, s2, s3, s4, s5, s6, s7
 
 
-@_compiled(_SUMS)
+@compiled(_SUMS)
 def _one(a: ndarray, p: _Index, rows: ndarray, j: _Index) -> tuple[float, float]:
     """aᴴl of response p with row j alone."""
     s0 = s1 = 0.0
@@ -244,7 +253,7 @@ def _one(a: ndarray, p: _Index, rows: ndarray, j: _Index) -> tuple[float, float]
 # ------------------------------------------------------------------------------------------------- RLS
 
 
-@_compiled()
+@compiled()
 def _explain(
     X: ndarray,
     first: int,
@@ -270,7 +279,7 @@ def _explain(
             )
 
 
-@_compiled()
+@compiled()
 def explained(wavelength: float, wavefront: int, geometry: ndarray, M: int, L: ndarray, X: ndarray) -> ndarray:
     """‖aᴴL‖² of p candidates."""
     a = np.empty((2, min(len(X), BLOCK), geometry.shape[1]))
@@ -280,7 +289,7 @@ def explained(wavelength: float, wavefront: int, geometry: ndarray, M: int, L: n
     return total
 
 
-@_compiled()
+@compiled()
 def explained_one(wavelength: float, wavefront: int, geometry: ndarray, M: int, L: ndarray, x: ndarray) -> float:
     """‖aᴴL‖² of one candidate."""
     a = np.empty((2, 1, geometry.shape[1]))
@@ -289,7 +298,7 @@ def explained_one(wavelength: float, wavefront: int, geometry: ndarray, M: int, 
     return total[0]
 
 
-@_compiled(_SUMS)
+@compiled(_SUMS)
 def explained_and_gradient(
     wavelength: float, wavefront: int, geometry: ndarray, M: int, L: ndarray, x: ndarray
 ) -> tuple[float, ndarray]:
@@ -325,7 +334,7 @@ def explained_and_gradient(
     return total, gradient
 
 
-@_compiled()
+@compiled()
 def repulsion(detected: ndarray, alpha: float, delta_min: float, X: ndarray) -> ndarray:
     """Σ_i α·max(0, δ_min − ‖θ − θ_i‖) of p candidates."""
     total = np.zeros(len(X))
@@ -338,7 +347,7 @@ def repulsion(detected: ndarray, alpha: float, delta_min: float, X: ndarray) -> 
     return total
 
 
-@_compiled()
+@compiled()
 def repulsion_one(detected: ndarray, alpha: float, delta_min: float, x: ndarray) -> float:
     """The same of one candidate."""
     return repulsion(detected, alpha, delta_min, np.expand_dims(x, 0))[0]
@@ -347,7 +356,7 @@ def repulsion_one(detected: ndarray, alpha: float, delta_min: float, x: ndarray)
 # ------------------------------------------------------------------------------------------------- ESF
 
 
-@_compiled()
+@compiled()
 def _esf_point(
     X: ndarray,
     i: int,
@@ -399,46 +408,61 @@ def _esf_point(
     return max(K - explained, 0.0)
 
 
-@_compiled()
-def _esf_scratch(geometry: ndarray, K: int, U: ndarray) -> tuple[ndarray, ndarray, ndarray, ndarray]:
-    """Room for one candidate at a time: rows, with U_s in place, h, L and W."""
-    count = (2 * K + ROWS - 1) // ROWS * ROWS
-    rows = np.zeros((2, count, geometry.shape[1]))
-    for part in range(2):
-        for k in range(K):
-            for m in range(geometry.shape[1]):
-                rows[part, k, m] = U[part, k, m]
-    return rows, np.empty(count, np.complex128), np.empty((K, K), np.complex128), np.empty((K, K), np.complex128)
-
-
-@_compiled()
+@compiled()
 def esf(
-    wavelength: float, wavefront: int, geometry: ndarray, M: int, K: int, least: float, U: ndarray, X: ndarray
+    wavelength: float,
+    wavefront: int,
+    geometry: ndarray,
+    M: int,
+    K: int,
+    least: float,
+    rows: ndarray,
+    h: ndarray,
+    L: ndarray,
+    W: ndarray,
+    X: ndarray,
 ) -> ndarray:
     """J of p candidates."""
-    rows, h, L, W = _esf_scratch(geometry, K, U)
     J = np.empty(len(X))
     for i in range(len(X)):
         J[i] = _esf_point(X, i, wavelength, wavefront, geometry, M, K, least, rows, h, L, W)
     return J
 
 
-@_compiled()
+@compiled()
 def esf_one(
-    wavelength: float, wavefront: int, geometry: ndarray, M: int, K: int, least: float, U: ndarray, x: ndarray
+    wavelength: float,
+    wavefront: int,
+    geometry: ndarray,
+    M: int,
+    K: int,
+    least: float,
+    rows: ndarray,
+    h: ndarray,
+    L: ndarray,
+    W: ndarray,
+    x: ndarray,
 ) -> float:
     """J of one candidate."""
-    rows, h, L, W = _esf_scratch(geometry, K, U)
     return _esf_point(np.expand_dims(x, 0), 0, wavelength, wavefront, geometry, M, K, least, rows, h, L, W)
 
 
-@_compiled(_SUMS)
+@compiled(_SUMS)
 def esf_and_gradient(
-    wavelength: float, wavefront: int, geometry: ndarray, M: int, K: int, least: float, U: ndarray, x: ndarray
+    wavelength: float,
+    wavefront: int,
+    geometry: ndarray,
+    M: int,
+    K: int,
+    least: float,
+    rows: ndarray,
+    h: ndarray,
+    L: ndarray,
+    W: ndarray,
+    x: ndarray,
 ) -> tuple[float, ndarray]:
     """J and ∂J = −2Re tr(Vᴴ·∂A·C) of one candidate: C = A⁺U_s, V = U_s − AC, and θ_k moves column k of A alone."""
     X = np.expand_dims(x, 0)
-    rows, h, L, W = _esf_scratch(geometry, K, U)
     J = _esf_point(X, 0, wavelength, wavefront, geometry, M, K, least, rows, h, L, W)
     for j in range(K - 1, -1, -1):  # C = L⁻ᴴW, in the place of W
         for c in range(K):
@@ -472,32 +496,24 @@ def esf_and_gradient(
 _MANIFOLD = (types.float64, types.int64, types.float64[:, ::1], types.int64)  # λ, wavefront, geometry, M
 _ROWS = types.float64[:, :, ::1]
 _ONE, _MANY = (types.Array(types.float64, n, "A", readonly=True, aligned=False) for n in (1, 2))  # any float64 array
+_C1, _C2 = types.complex128[::1], types.complex128[:, ::1]
+_ESF = (*_MANIFOLD, types.int64, types.float64, _ROWS, _C1, _C2, _C2)
 _REPULSION = (_MANY, types.float64, types.float64)
 _SIGNATURES: list[tuple[Any, tuple[Any, ...]]] = [
     (phasors, (types.float64[::1],) * 3),  # the quickest to compile
+    (responses, (*_MANIFOLD, _MANY)),
     (explained, (*_MANIFOLD, _ROWS, _MANY)),
     (explained_one, (*_MANIFOLD, _ROWS, _ONE)),
     (explained_and_gradient, (*_MANIFOLD, _ROWS, _ONE)),
     (repulsion, (*_REPULSION, _MANY)),
     (repulsion_one, (*_REPULSION, _ONE)),
-    (esf, (*_MANIFOLD, types.int64, types.float64, _ROWS, _MANY)),
-    (esf_one, (*_MANIFOLD, types.int64, types.float64, _ROWS, _ONE)),
-    (esf_and_gradient, (*_MANIFOLD, types.int64, types.float64, _ROWS, _ONE)),
+    (esf, (*_ESF, _MANY)),
+    (esf_one, (*_ESF, _ONE)),
+    (esf_and_gradient, (*_ESF, _ONE)),
 ]
 
 
 @cache
 def warm_up() -> None:
-    """Load every kernel from the cache, or compile it, saying so on stderr; nothing is ever compiled after this.
-
-    Raises NfbenchError where Numba cannot.
-    """
-    try:
-        for kernel, signature in _SIGNATURES:
-            kernel.compile(signature)
-            kernel.disable_compile()
-            misses = kernel.stats.cache_misses
-            if kernel is phasors and misses:
-                print("nfbench: compiling kernels (once a machine, some 15 s) …", file=sys.stderr, flush=True)
-    except (numba.core.errors.NumbaError, OSError, RuntimeError) as error:
-        raise NfbenchError(f"kernels: Numba {numba.__version__} cannot compile here: {error}; {_REMEDY}") from error
+    """Load every kernel from the cache, or compile it, saying so on stderr; nothing is ever compiled after this."""
+    load(_SIGNATURES, "compiling kernels (once a machine, some 15 s)")

@@ -1,7 +1,12 @@
 """Response vectors of an array for four models of the wavefront, and their derivatives.
 
-Every model says by how much nearer than the origin a source is to an element: the advance ``f = r − d_m`` as a
-function of ``s = u·q_m`` (p, M), ``r`` (p, 1) and ``w = ‖q_m‖²`` (M,), all in metres. Then a_m = exp(j·2π/λ·f).
+Every model says by how much nearer than the origin a source is to an element: the advance f = r − d_m as a function of
+s = u·q_m, r and w = ‖q_m‖², all in metres. Then a_m = exp(j·2π/λ·f), computed in ``kernels``.
+
+    exact     f = (2rs − w)/(r + d_m), d_m = √(r² − 2rs + w): without the cancellation of nearly equal lengths
+    fresnel   f = s − (w − s²)/2r
+    paper     f = s − w/2r, without the cos²φ factor
+    planar    f = s
 """
 
 from __future__ import annotations
@@ -26,26 +31,12 @@ Wavefront: TypeAlias = Literal["exact", "fresnel", "paper", "planar"]
 _Real: TypeAlias = NDArray[np.float64]
 
 
-def _advance(wavefront: Wavefront, s: _Real, r: _Real, w: _Real) -> _Real:
-    """The advance f = r − d_m [m]."""
-    match wavefront:
-        case "exact":  # r − ‖p − q‖ without the cancellation of nearly equal lengths
-            numerator = 2 * r * s - w
-            return numerator / (r + _distance(numerator, r))
-        case "fresnel":
-            return s - (w - s * s) / (2 * r)
-        case "paper":  # no cos²φ factor
-            return s - w / (2 * r)
-        case "planar":
-            return s
-
-
 def _slopes(wavefront: Wavefront, s: _Real, r: _Real, w: _Real) -> tuple[_Real, _Real]:
-    """The slopes ∂f/∂s and ∂f/∂r of the advance."""
+    """The slopes ∂f/∂s and ∂f/∂r of the advance; s (p, M), r (p, 1), w (M,)."""
     match wavefront:
         case "exact":  # ∂f/∂r = 1 − (r − s)/d, again without cancellation
             numerator = 2 * r * s - w
-            d = _distance(numerator, r)
+            d = np.sqrt(np.maximum(r * r - numerator, np.finfo(np.float64).tiny))  # where a source meets an element
             return r / d, (w - s * numerator / (r + d)) / ((r + d) * d)
         case "fresnel":
             return 1 + s / r, (w - s * s) / (2 * r * r)
@@ -53,13 +44,6 @@ def _slopes(wavefront: Wavefront, s: _Real, r: _Real, w: _Real) -> tuple[_Real, 
             return np.ones_like(s), np.broadcast_to(w / (2 * r * r), s.shape)
         case "planar":
             return np.ones_like(s), np.zeros_like(s)
-
-
-def _distance(numerator: _Real, r: _Real) -> _Real:
-    """d_m = √(r² − 2rs + w), kept from zero and from a negative root where a source meets an element."""
-    square = r * r - numerator
-    np.maximum(square, np.finfo(np.float64).tiny, out=square)
-    return np.sqrt(square)
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,16 +75,15 @@ class Manifold:
 
     def response(self, theta: Float[ndarray, "*p d"]) -> Complex[ndarray, "*p m"]:
         """The response vectors of sources ``theta``, one a row [rad, m]."""
-        s = directions(theta) @ self._columns
-        return self._phasor(_advance(self.wavefront, s, theta[..., -1:], self._squares))
+        A = kernels.responses(*self.packed, np.asarray(theta, dtype=np.float64).reshape(-1, self.dimension))
+        return A.reshape(*np.shape(theta)[:-1], self.elements)
 
     def response_and_derivatives(
         self, theta: Float[ndarray, "p d"]
     ) -> tuple[Complex[ndarray, "p m"], Complex[ndarray, "p d m"]]:
         """The response vectors and ∂a/∂θ_i, i in the order of ``theta`` [1/rad, 1/m]."""
-        s, r = directions(theta) @ self._columns, theta[:, -1:]
-        a = self._phasor(_advance(self.wavefront, s, r, self._squares))
-        by_s, by_r = _slopes(self.wavefront, s, r, self._squares)
+        a, s = self.response(theta), directions(theta) @ self._columns
+        by_s, by_r = _slopes(self.wavefront, s, theta[:, -1:], self._squares)
         slopes = np.empty((*theta.shape, self.elements))
         slopes[:, :-1] = by_s[:, None] * (direction_derivatives(theta) @ self._columns)
         slopes[:, -1] = by_r
@@ -109,15 +92,9 @@ class Manifold:
     @cached_property
     def packed(self) -> tuple[float, int, Float[ndarray, "4 padded"], int]:
         """The same for the kernels: λ, the wavefront's number, the geometry, M."""
+        kernels.warm_up()
         geometry = kernels.pack_geometry(self.positions, self.wavelength_m)
         return float(self.wavelength_m), kernels.WAVEFRONTS[self.wavefront], geometry, self.elements
-
-    def _phasor(self, advance: _Real) -> ndarray:
-        phase = self._wavenumber * advance
-        a = np.empty(phase.shape, dtype=np.complex128)
-        np.cos(phase, out=a.real)
-        np.sin(phase, out=a.imag)
-        return a
 
     @cached_property
     def _wavenumber(self) -> float:

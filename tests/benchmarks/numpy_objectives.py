@@ -8,8 +8,29 @@ from scipy.linalg import solve_triangular
 
 from nfbench import Problem
 from nfbench.problems.esf import RIDGE
+from nfbench.problems.geometry import directions
 from nfbench.problems.subspace import compress
 from nfbench.problems.wavefronts import Manifold
+
+
+def respond(manifold: Manifold, theta: ndarray) -> ndarray:
+    """The response vectors of sources (*p, d), one a row."""
+    s, r, w = directions(theta) @ manifold.positions.T, theta[..., -1:], np.sum(manifold.positions**2, axis=1)
+    match manifold.wavefront:
+        case "exact":
+            numerator = 2 * r * s - w
+            advance = numerator / (r + np.sqrt(np.maximum(r * r - numerator, 0)))
+        case "fresnel":
+            advance = s - (w - s * s) / (2 * r)
+        case "paper":
+            advance = s - w / (2 * r)
+        case _:
+            advance = s
+    phase = (2 * np.pi / manifold.wavelength_m) * advance
+    a = np.empty(phase.shape, dtype=np.complex128)
+    np.cos(phase, out=a.real)
+    np.sin(phase, out=a.imag)
+    return a
 
 
 class NumPyRLS(Problem):
@@ -38,12 +59,12 @@ class NumPyRLS(Problem):
         self.delta_min = delta_min
 
     def evaluate(self, X: ndarray) -> ndarray:
-        b = self.manifold.response(X) @ self.conj_L
+        b = respond(self.manifold, X) @ self.conj_L
         residual = np.maximum(self.energy - np.vecdot(b, b).real / self.manifold.elements, 0.0)
         return residual + self.repulsion(X) if len(self.detected) else residual
 
     def value(self, x: ndarray) -> float:
-        b = self.manifold.response(x) @ self.conj_L
+        b = respond(self.manifold, x) @ self.conj_L
         residual = max(self.energy - float(np.vdot(b, b).real) / self.manifold.elements, 0.0)
         return residual + float(self.repulsion(x[None])[0]) if len(self.detected) else residual
 
@@ -76,7 +97,7 @@ class NumPyESF(Problem):
 
     def evaluate(self, X: ndarray) -> ndarray:
         p, K, M = len(X), self.sources, self.manifold.elements
-        A = self.manifold.response(X.reshape(-1, self.manifold.dimension))  # one response a row
+        A = respond(self.manifold, X.reshape(-1, self.manifold.dimension))  # one response a row
         B = (A @ self.conj_U_s).conj()
         _, W = whiten(A.reshape(p, K, M), B.reshape(p, K, K))
         return np.maximum(K - np.sum(W.real**2 + W.imag**2, axis=(0, 2)), 0.0)

@@ -4,7 +4,7 @@ from bench_problems import Formula, bowl, ramp
 from numpy.testing import assert_allclose, assert_array_equal
 
 from nfbench import Budget, OptionError, minimize
-from nfbench.solvers.de import DE
+from nfbench.solvers.de import DE, make_trials, pick_three
 
 BLOCK = 16
 RULES = ["clip", "midpoint", "reflect", "resample"]
@@ -25,18 +25,16 @@ def plain_de(f, lower, upper, N, F, CR, rule, generations, rng):
     values = [f(xi) for xi in x]
     for g in range(generations - 1):
         if g % BLOCK == 0:
-            cards = [rng.integers(1, N - taken, (BLOCK, N)) for taken in range(3)]
-            rand = rng.random((BLOCK, N, n))
-            j_rand = rng.integers(0, n, (BLOCK, N))
+            draws = rng.random((BLOCK, N, 4 + 2 * n if rule == "resample" else 4 + n))
         b = g % BLOCK
         trials = []
         for i in range(N):
             deck = [(i + step) % N for step in range(1, N)]
-            r1, r2, r3 = (deck.pop(cards[c][b, i] - 1) for c in range(3))
+            r1, r2, r3 = (deck.pop(int(draws[b, i, c] * len(deck))) for c in range(3))
             assert len({i, r1, r2, r3}) == 4
             u = list(x[i])
             for j in range(n):
-                if rand[b, i, j] <= CR or j == j_rand[b, i]:
+                if draws[b, i, 4 + j] <= CR or j == int(draws[b, i, 3] * n):
                     v = x[r1][j] + F * (x[r2][j] - x[r3][j])
                     if not lower[j] <= v <= upper[j]:
                         bound = lower[j] if v < lower[j] else upper[j]
@@ -47,7 +45,7 @@ def plain_de(f, lower, upper, N, F, CR, rule, generations, rng):
                         elif rule == "reflect":
                             v = mirrored(v, lower[j], upper[j])
                         else:
-                            v = lower[j] + rng.random() * (upper[j] - lower[j])
+                            v = lower[j] + draws[b, i, 4 + n + j] * (upper[j] - lower[j])
                     u[j] = v
             trials.append(u)
         for i, u in enumerate(trials):
@@ -93,11 +91,11 @@ def test_the_plain_loop_leaves_the_box_often_enough_to_test_the_rules():
 
 
 def test_indices_are_distinct_and_every_triple_is_equally_likely():
-    draws = DE(population=5)._draws(np.random.default_rng(0), 5, 2)
     counts = np.zeros((5, 5, 5, 5))
     rounds = 20_000
-    for _, (r, _) in zip(range(rounds), draws, strict=False):
-        counts[np.arange(5), r[0], r[1], r[2]] += 1
+    for draws in np.random.default_rng(0).random((rounds, 5, 3)):
+        for i in range(5):
+            counts[(i, *pick_three(i, 5, draws[i]))] += 1
     allowed = [(i, a, b, c) for i, a, b, c in np.ndindex(5, 5, 5, 5) if len({i, a, b, c}) == 4]
     observed = np.array([counts[key] for key in allowed])
     assert observed.sum() == 5 * rounds == counts.sum()
@@ -105,14 +103,19 @@ def test_indices_are_distinct_and_every_triple_is_equally_likely():
 
 
 def test_crossover_takes_cr_of_the_coordinates_and_at_least_one():
-    draws = DE(CR=0.3)._draws(np.random.default_rng(0), 50, 8)
-    cross = np.array([next(draws)[1] for _ in range(400)])
+    x = np.random.default_rng(1).random((50, 8))
+    u, lower, upper = np.empty_like(x), np.full(8, -9.0), np.full(8, 9.0)
+
+    def crossed(CR, rounds):
+        for draws in np.random.default_rng(0).random((rounds, 50, 12)):
+            make_trials(x, 0.5, CR, 0, lower, upper, draws, u)
+            yield u != x
+
+    cross = np.array(list(crossed(0.3, 400)))
     assert cross.any(axis=2).all()
     assert_allclose(cross.mean(), 1 / 8 + 7 / 8 * 0.3, atol=0.005)
-    only = DE(CR=0.0)._draws(np.random.default_rng(0), 50, 8)
-    assert_array_equal(next(only)[1].sum(axis=1), 1)
-    everything = DE(CR=1.0)._draws(np.random.default_rng(0), 50, 8)
-    assert next(everything)[1].all()
+    assert_array_equal(next(crossed(0.0, 1)).sum(axis=1), 1)
+    assert next(crossed(1.0, 1)).all()
 
 
 def test_selection_accepts_equal_values_so_that_a_plateau_is_crossed():
