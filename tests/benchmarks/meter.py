@@ -7,7 +7,6 @@ differences. ESF of the paper's ULA gives the measure of what an evaluation cost
 from __future__ import annotations
 
 import statistics
-import time
 from collections.abc import Callable
 
 import numpy as np
@@ -15,6 +14,7 @@ from kernels import PLANE
 from rich.console import Console
 from rich.table import Table
 from threadpoolctl import threadpool_limits
+from timing import seconds
 
 from nfbench import Budget, MeteredProblem, Problem
 from nfbench.problems.esf import ESF
@@ -35,13 +35,6 @@ class Free(Problem):
 
     def value(self, x: np.ndarray) -> float:
         return 1.0
-
-
-def seconds(call: Callable[[], object], number: int) -> float:
-    start = time.perf_counter()
-    for _ in range(number):
-        call()
-    return (time.perf_counter() - start) / number
 
 
 def paired(bare: Callable[[], object], metered: Callable[[], object], number: int) -> tuple[float, float]:
