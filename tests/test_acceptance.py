@@ -1,12 +1,24 @@
 """What the paper's scenario must give at full size: ULA M = 128, λ/4, T = 200, K = 3, 20 dB, line of sight."""
 
+import sys
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 import nfbench
 from nfbench import Status, minimize
+from nfbench.problems import neef, nemo
+from nfbench.problems.esf import ESF
 from nfbench.problems.neef import Neef
+from nfbench.problems.nemo import Nemo
+from nfbench.problems.rls import RLS
 from nfbench.problems.scenario import NearField
+
+sys.path.append(str(Path(__file__).parent / "benchmarks"))
+from numpy_objectives import NumPyESF, NumPyRLS
 
 SCENARIO = NearField(
     array={"kind": "ula", "elements": 128, "spacing_wavelengths": 0.25, "origin": "first"},
@@ -51,3 +63,38 @@ def test_other_global_solvers_reach_the_same_optimum(name, de):
         best = min(value, de[seed][1])
         reached += value - best <= 1e-8
     assert reached >= 8
+
+
+@pytest.mark.parametrize("rician_k", [np.inf, 10.0])
+@pytest.mark.parametrize(
+    ("formulation", "module", "compiled", "plain", "population", "budget"),
+    [(Nemo(), nemo, RLS, NumPyRLS, 50, 15_000), (Neef(), neef, ESF, NumPyESF, 120, BUDGET)],
+    ids=["nemo", "neef"],
+)
+def test_runs_of_the_quickstart_agree_with_those_on_numpy_objectives(
+    formulation, module, compiled, plain, population, budget, rician_k, monkeypatch
+):
+    """Where the run on kernels ends, both objectives agree in J, problem by problem; and so do the two runs' own J.
+
+    But for NEMO's later problems: a minimizer is only known to the square root of J's rounding, and the next residual
+    changes with it to first order, so that their J agree to the square root of 1e-16 alone.
+    """
+    instance = replace(SCENARIO, rician_k=rician_k, fading="block").draw(np.random.default_rng(3))
+    solver = nfbench.solver("de", population=population)
+    twins, runs = [], []
+
+    def twin(*arguments, **options):
+        twins.append([kind(*arguments, **options) for kind in (compiled, plain)])
+        return twins[-1][0]
+
+    for objective in (twin, plain):
+        monkeypatch.setattr(module, compiled.__name__, objective)
+        minima = []
+        formulation.solve(instance, lambda p, m=minima: m.append(minimize(p, solver, budget, len(m))) or m[-1])
+        runs.append(minima)
+    for (fast, slow), minimum in zip(twins, runs[0], strict=True):
+        assert fast.value(minimum.x) == minimum.value
+        assert_allclose(slow.value(minimum.x), minimum.value, rtol=1e-9)
+    values = np.array([[minimum.value for minimum in minima] for minima in runs])
+    assert_allclose(values[0, 0], values[1, 0], rtol=1e-9)
+    assert_allclose(values[0], values[1], rtol=1e-6)

@@ -128,8 +128,8 @@ def batches(all_cases: list[Case]) -> Table:
 def single_points(all_cases: list[Case]) -> Table:
     """What a call costs, and the least it could.
 
-    "at least": for ESF what a point costs in a batch, for RLS, whose batches read the factor once for 16 points, reading
-    it from wherever it is kept, and for both the call of a kernel of the same arguments that does nothing.
+    "at least": for ESF what a point costs in a batch; for RLS, whose batches read the factor once for 16 points, the
+    time to read it; and for both the call of a kernel of the same arguments that does nothing.
     """
     columns = (
         "µs",
