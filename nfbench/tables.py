@@ -29,7 +29,9 @@ def summarize(
     Over the runs that are ok: ``rmse_m`` the root of the mean square error of a run, with a 95 % bootstrap interval
     ``rmse_m_low``, ``rmse_m_high`` (percentiles of 2,000 resamples; NaN for fewer than 6 runs); ``median_m``
     and ``q90_m`` over runs; ``outlier_rate`` the share of sources further off than ``outlier_m``; ``crb_m`` the root
-    mean square bound where runs have one; ``evaluations`` and ``runtime_s`` the means. ``failed`` counts the others.
+    mean square bound where runs have one; ``evaluations`` and ``runtime_s`` the means; ``floor_m`` the root mean
+    square of the error that no SNR removes, where runs have one. ``failed`` counts the others. Few scenes with sources
+    close together own ``crb_m``, as outliers own ``rmse_m``: compare the two where sources are kept apart.
     An ``error`` other than ``rmse_m`` is summed up in the columns ``<error>``, ``_low``, ``_high``, ``median``,
     ``q90`` beside them.
     """
@@ -57,6 +59,7 @@ def _summary(group: pd.DataFrame, name: str, error: str, outlier_m: float) -> di
     row["crb_m"] = _root_mean_square(_values(ok, "crb_m"))
     row["evaluations"] = _mean(_values(ok, "evaluations"))
     row["runtime_s"] = _mean(_values(ok, "runtime_s"))
+    row["floor_m"] = _root_mean_square(_values(ok, "floor_m"))
     if error != "rmse_m":
         row |= _spread(_values(ok, error), rng, error, f"{error}_median", f"{error}_q90")
     return row

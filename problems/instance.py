@@ -13,6 +13,8 @@ from scipy.optimize import linear_sum_assignment
 
 from nfbench import Instance
 
+from .bounds import deterministic_bound, position_bounds, stochastic_bound
+from .floor import local_fit, noise_free_columns
 from .geometry import cartesian
 from .wavefronts import Manifold
 
@@ -26,6 +28,8 @@ class NearFieldInstance(Instance):
 
     Y: (M, T) received data, noise of unit variance. theta: (K, d) the true sources, ``[azimuth, (elevation,) range]``
     [rad, m]. manifold: the array and the wavefront the data were made with. lower, upper: (d,) the box of one source.
+    H: (1, M, K) the channel of the block, or (T, M, K) that of every snapshot. symbols: (K, T) what the sources sent,
+    of power snr. snr: (K,) per source and antenna, over the noise. rician_k: κ, inf in pure line of sight.
     """
 
     Y: Complex[ndarray, "m t"]
@@ -33,6 +37,10 @@ class NearFieldInstance(Instance):
     manifold: Manifold
     lower: Float[ndarray, " d"]
     upper: Float[ndarray, " d"]
+    H: Complex[ndarray, "draws m k"]
+    symbols: Complex[ndarray, "k t"]
+    snr: Float[ndarray, " k"]
+    rician_k: float
 
     @property
     def sources(self) -> int:
@@ -43,7 +51,8 @@ class NearFieldInstance(Instance):
         """Cartesian errors [m] of the assignment of estimates to sources with the least sum of squares (Kuhn 1955).
 
         ``rmse_m`` is the root of their mean square, ``error_1_m`` … belong to the true sources in order. All are NaN
-        if the estimate is not finite. Raises ValueError unless the estimate is (K, d) [rad, m].
+        if the estimate is not finite. Beside them stand the ``bounds``, which do not depend on the estimate. Raises
+        ValueError unless the estimate is (K, d) [rad, m].
         """
         estimate = np.asarray(estimate, dtype=np.float64)
         if estimate.shape != self.theta.shape:
@@ -55,4 +64,35 @@ class NearFieldInstance(Instance):
             matched = squares[linear_sum_assignment(squares)]
         errors = np.sqrt(matched)
         scores = {"rmse_m": math.sqrt(np.mean(matched))}
-        return scores | {f"error_{k}_m": float(error) for k, error in enumerate(errors, start=1)}
+        scores |= {f"error_{k}_m": float(error) for k, error in enumerate(errors, start=1)}
+        return scores | self.bounds()
+
+    def bounds(self) -> dict[str, float]:
+        """What errors [m] of this scene are to be compared with, by column name.
+
+        In pure line of sight the Cramér–Rao bounds of positions: ``crb_m``, the root mean square over sources of the
+        stochastic ones ``crb_1_m`` …, and ``crb_deterministic_m`` of those for the symbols that were sent. They are
+        inf where the sources cannot be told apart, and know nothing of the box: where they approach its size, an
+        estimate within it can be better. Under Rician fading, where no such bound holds, ``floor_m``: the root mean
+        square error of least squares without noise, started at the truth. It is no bound either, but tells what more
+        SNR cannot mend. A planar wavefront, which hides the range, has neither.
+        """
+        if self.manifold.wavefront == "planar":
+            return {}
+        if math.isfinite(self.rician_k):
+            columns = noise_free_columns(self.H, self.symbols)
+            fitted = local_fit(columns, self.manifold, self.theta, self.lower, self.upper)
+            errors = np.linalg.norm(cartesian(fitted) - cartesian(self.theta), axis=1)
+            return {"floor_m": _root_mean_square(errors)}
+        stochastic = stochastic_bound(self.manifold, self.theta, self.snr, self.symbols.shape[1])
+        deterministic = deterministic_bound(self.manifold, self.theta, self.symbols)
+        each = position_bounds(stochastic, self.theta)
+        return {
+            "crb_m": _root_mean_square(each),
+            "crb_deterministic_m": _root_mean_square(position_bounds(deterministic, self.theta)),
+            **{f"crb_{k}_m": float(bound) for k, bound in enumerate(each, start=1)},
+        }
+
+
+def _root_mean_square(lengths: Float[ndarray, " k"]) -> float:
+    return math.sqrt(np.mean(lengths**2))

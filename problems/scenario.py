@@ -96,10 +96,10 @@ class NearField(Scenario):
         G = self.nlos.draw(for_fading, draws, manifold, theta, lower, upper)
         H = rician(manifold.response(theta).T, G, self.rician_k)
         snr = 10.0 ** (np.broadcast_to(self.snr_db, self.sources) / 10)
-        X = np.sqrt(snr)[:, None] * complex_normal(for_symbols, (self.sources, self.snapshots))
+        symbols = np.sqrt(snr)[:, None] * complex_normal(for_symbols, (self.sources, self.snapshots))
         N = complex_normal(for_noise, (manifold.elements, self.snapshots))
-        Y = np.einsum("tmk,kt->mt", np.broadcast_to(H, (self.snapshots, *H.shape[1:])), X) + N
-        return NearFieldInstance(Y, theta, manifold, lower, upper)
+        Y = np.einsum("tmk,kt->mt", np.broadcast_to(H, (self.snapshots, *H.shape[1:])), symbols) + N
+        return NearFieldInstance(Y, theta, manifold, lower, upper, H, symbols, snr, self.rician_k)
 
     def _box(self) -> tuple[Float[ndarray, " d"], Float[ndarray, " d"]]:
         """The bounds of one source [rad, m]."""
