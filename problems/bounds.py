@@ -19,10 +19,10 @@ from .wavefronts import Manifold
 __all__ = ["deterministic_bound", "information_root", "position_bounds", "stochastic_bound"]
 
 CERTAIN = 100
-"""How often what projection leaves of a derivative must exceed its rounding error; else the bound is infinite.
+"""How many times its rounding error the rest of a projected derivative must be, or the bound is infinite.
 
-Sources so near that their bound would be wrong by more than about 1 % count as coincident. In sight of the array that
-is far nearer than anything that can be resolved: the bound exceeds the range by orders before."""
+So sources count as coincident once their bound would be off by more than about 1 %, when it has long exceeded any
+range: at the paper's size, some 1e-7 rad apart."""
 
 
 def stochastic_bound(
