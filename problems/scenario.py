@@ -14,7 +14,7 @@ from nfbench import Ge, Gt, Instance, Le, Lt, OneOf, OptionError, Scenario
 
 from . import kernels
 from .arrays import UCA, ULA, UPA, Array, Custom
-from .channels import IID, NLoS, complex_normal, rician
+from .channels import IID, ClusterAroundSource, Clusters, Isotropic, NLoS, complex_normal, rician
 from .geometry import directions
 from .instance import NearFieldInstance
 from .wavefronts import Manifold, Wavefront
@@ -35,10 +35,11 @@ class NearField(Scenario):
     "paper" or "planar". sources: K, fewer than the elements. snapshots: T. snr_db: per source and antenna [dB], one
     number or one a source. rician_k: power of the line of sight over that of the scattered waves, inf: line of sight
     alone. fading: "block" (one channel for all snapshots) or "snapshot" (a new one each), to be stated where rician_k
-    is finite. nlos: a table of kind "iid", how the scattered waves are distributed. azimuth_deg, elevation_deg,
-    range_m: the box [low, high] that sources are drawn from and estimates are searched in [°, °, m]; without
-    elevation_deg all is in the plane. min_separation_deg: least angle between any two sources, seen from the origin
-    [°]. positions: fixed sources instead of drawn ones, each [azimuth, (elevation,) range] [°, m].
+    is finite. nlos: a table of kind "iid", "clusters", "cluster-around-source" or "isotropic", how the scattered waves
+    are distributed. azimuth_deg, elevation_deg, range_m: the box [low, high] that sources are drawn from and estimates
+    are searched in [°, °, m]; without elevation_deg all is in the plane. min_separation_deg: least angle between any
+    two sources, seen from the origin [°]. positions: fixed sources instead of drawn ones, each [azimuth, (elevation,)
+    range] [°, m].
     """
 
     instance: ClassVar[type[Instance]] = NearFieldInstance
@@ -51,7 +52,7 @@ class NearField(Scenario):
     snr_db: _Finite | tuple[_Finite, ...]
     rician_k: Annotated[float, Gt(0.0)] = math.inf
     fading: Literal["block", "snapshot"] | None = None
-    nlos: Annotated[NLoS, OneOf(IID)] = IID()  # noqa: RUF009  # frozen
+    nlos: Annotated[NLoS, OneOf(IID, Clusters, ClusterAroundSource, Isotropic)] = IID()  # noqa: RUF009  # frozen
     azimuth_deg: tuple[_Finite, _Finite]
     elevation_deg: tuple[_Finite, _Finite] | None = None
     range_m: tuple[_Finite, _Finite]
