@@ -127,7 +127,7 @@ class _Attempt:
             self.scores = {name: float(score) for name, score in instance.score(estimate).items()}
         except ValueError as error:
             raise _Ended(Status.INVALID, f"estimate: {error}") from error
-        if math.isnan(self.scores.get(scenario.error, math.nan)):
+        if estimate.size and math.isnan(self.scores.get(scenario.error, math.nan)):
             raise _Ended(Status.INVALID, f"{scenario.error} of the estimate is not a number")
         return Status.OK, "; ".join(minimum.message for minimum in self.minima if minimum.message)
 

@@ -51,7 +51,7 @@ class _Tally:
     def add(self, spec: RunSpec, record: RunRecord) -> None:
         if record.status is not Status.OK:
             self._bad[record.status] += 1
-        elif self._error in record.scores:
+        elif not math.isnan(record.scores.get(self._error, math.nan)):
             square = self._squares[spec.method.label]
             square[0] += record.scores[self._error] ** 2
             square[1] += 1

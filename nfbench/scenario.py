@@ -21,7 +21,8 @@ class Instance(ABC):
     def score(self, estimate: ndarray) -> dict[str, float]:
         """Scores of an estimate by column name, among them the scenario's ``error``.
 
-        Raises ValueError when the estimate's shape does not fit; a NaN score makes the run ``invalid``.
+        Raises ValueError when the estimate's shape does not fit. A NaN ``error`` makes the run ``invalid``, unless the
+        estimate is empty: to have found nothing is an answer.
         """
 
 

@@ -28,10 +28,12 @@ def summarize(
 
     Over the runs that are ok: ``rmse_m`` the root of the mean square error of a run, with a 95 % bootstrap interval
     ``rmse_m_low``, ``rmse_m_high`` (percentiles of 2,000 resamples; NaN for fewer than 6 runs); ``median_m``
-    and ``q90_m`` over runs; ``outlier_rate`` the share of sources further off than ``outlier_m``; ``crb_m`` the root
-    mean square bound where runs have one; ``evaluations`` and ``runtime_s`` the means; ``floor_m`` the root mean
-    square of the error that no SNR removes, where runs have one. ``failed`` counts the others. Few scenes with sources
-    close together own ``crb_m``, as outliers own ``rmse_m``: compare the two where sources are kept apart.
+    and ``q90_m`` over runs; ``outlier_rate`` the share of true sources, of all runs, further off than ``outlier_m`` or
+    not found at all (``sources`` that exceed ``sources_found``); ``crb_m`` the root mean square bound where runs have
+    one; ``evaluations`` and ``runtime_s`` the means; ``floor_m`` the root mean square of the error that no SNR removes,
+    and ``gospa_m``, and the mean of ``sources_found``, where runs have them. ``failed`` counts the others. A run that
+    found nothing has no ``rmse_m``, but counts in ``outlier_rate`` and ``gospa_m``. Few scenes with sources close
+    together own ``crb_m``, as outliers own ``rmse_m``: compare the two where sources are kept apart.
     An ``error`` other than ``rmse_m`` is summed up in the columns ``<error>``, ``_low``, ``_high``, ``median``,
     ``q90`` beside them.
     """
@@ -60,6 +62,8 @@ def _summary(group: pd.DataFrame, name: str, error: str, outlier_m: float) -> di
     row["evaluations"] = _mean(_values(ok, "evaluations"))
     row["runtime_s"] = _mean(_values(ok, "runtime_s"))
     row["floor_m"] = _root_mean_square(_values(ok, "floor_m"))
+    row["gospa_m"] = _root_mean_square(_values(ok, "gospa_m"))
+    row["sources_found"] = _mean(_values(ok, "sources_found"))
     if error != "rmse_m":
         row |= _spread(_values(ok, error), rng, error, f"{error}_median", f"{error}_q90")
     return row
@@ -89,11 +93,16 @@ def _bootstrap(errors: Float[ndarray, " runs"], rng: np.random.Generator) -> tup
 
 
 def _outlier_rate(ok: pd.DataFrame, outlier_m: float) -> float:
-    """Share of sources, over all runs, whose error exceeds ``outlier_m``."""
+    """Share of sources, over all runs, whose error exceeds ``outlier_m`` or which no estimate is matched with."""
     columns = [name for name in ok.columns if re.fullmatch(r"error_\d+_m", name)]
     errors = ok[columns].to_numpy(dtype=np.float64)
-    known = ~np.isnan(errors)
-    return float((errors[known] > outlier_m).mean()) if known.any() else np.nan
+    errors = errors[~np.isnan(errors)]
+    # an error that is NaN is of a source that was missed, or that another run of the sweep has and this one has not
+    missed = 0.0
+    if {"sources", "sources_found"} <= set(ok.columns):
+        missed = float(np.maximum(ok["sources"] - ok["sources_found"], 0).sum())
+    total = len(errors) + missed
+    return float((np.sum(errors > outlier_m) + missed) / total) if total else np.nan
 
 
 def _values(ok: pd.DataFrame, name: str) -> Float[ndarray, " runs"]:

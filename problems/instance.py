@@ -18,7 +18,13 @@ from .floor import local_fit, noise_free_columns
 from .geometry import cartesian
 from .wavefronts import Manifold
 
-__all__ = ["NearFieldInstance"]
+__all__ = ["CUTOFF_M", "NearFieldInstance"]
+
+CUTOFF_M = 1.0
+"""The cut-off c [m] of ``gospa_m``: a source missed and an estimate too many add c²/2 each to its square, p = α = 2.
+
+It is where by default tables begin to count a source as off (Rahmathullah, García-Fernández & Svensson 2017,
+doi:10.23919/ICIF.2017.8009645)."""
 
 
 @final
@@ -47,23 +53,29 @@ class NearFieldInstance(Instance):
         """The number K of sources."""
         return len(self.theta)
 
-    def score(self, estimate: Float[ndarray, "k d"]) -> dict[str, float]:
+    def score(self, estimate: Float[ndarray, "found d"]) -> dict[str, float]:
         """Cartesian errors [m] of the assignment of estimates to sources with the least sum of squares (Kuhn 1955).
 
-        ``rmse_m`` is the root of their mean square, ``error_1_m`` … belong to the true sources in order. All are NaN
-        if the estimate is not finite. Beside them stand the ``bounds``, which do not depend on the estimate. Raises
-        ValueError unless the estimate is (K, d) [rad, m].
+        ``rmse_m`` is the root of the mean square of those matched, min(K, K̂) of them; ``error_1_m`` … belong to the
+        true sources in order, NaN where one has no partner. ``gospa_m`` counts the others too, as CUTOFF_M says.
+        ``sources`` is K, ``sources_found`` K̂. All are NaN if the estimate is not finite, ``rmse_m`` if it is empty.
+        Beside them stand the ``bounds``, which do not depend on the estimate. Raises ValueError unless the estimate is
+        (K̂, d) [rad, m].
         """
         estimate = np.asarray(estimate, dtype=np.float64)
-        if estimate.shape != self.theta.shape:
-            raise ValueError(f"estimate: expected shape {self.theta.shape}, a row per source, got {estimate.shape}")
+        d = self.theta.shape[1]
+        if estimate.ndim != 2 or estimate.shape[1] != d:
+            raise ValueError(f"estimate: expected shape (K, {d}), a row per source, got {estimate.shape}")
         with np.errstate(over="ignore", invalid="ignore"):
             squares = np.sum((cartesian(self.theta)[:, None] - cartesian(estimate)) ** 2, axis=-1)
-        matched = np.full(self.sources, math.nan)
+        K, found = squares.shape
+        errors = np.full(K, math.nan)
+        scores = dict.fromkeys(("rmse_m", "gospa_m", "sources", "sources_found"), math.nan)
         if np.isfinite(squares).all():  # false too where an estimate is so far off that its square is infinite
-            matched = squares[linear_sum_assignment(squares)]
-        errors = np.sqrt(matched)
-        scores = {"rmse_m": math.sqrt(np.mean(matched))}
+            true, matched = linear_sum_assignment(squares)
+            errors[true] = np.sqrt(squares[true, matched])
+            rmse = math.sqrt(np.mean(squares[true, matched])) if found else math.nan
+            scores = {"rmse_m": rmse, "gospa_m": _gospa(squares), "sources": K, "sources_found": found}
         scores |= {f"error_{k}_m": float(error) for k, error in enumerate(errors, start=1)}
         return scores | self.bounds()
 
@@ -96,3 +108,10 @@ class NearFieldInstance(Instance):
 
 def _root_mean_square(lengths: Float[ndarray, " k"]) -> float:
     return math.sqrt(np.mean(lengths**2))
+
+
+def _gospa(squares: Float[ndarray, "k found"]) -> float:
+    """GOSPA of squared distances for p = α = 2: a pair beyond the cut-off costs as much as a missed and a false one."""
+    near = np.minimum(squares, CUTOFF_M**2)
+    unmatched = abs(squares.shape[0] - squares.shape[1])
+    return math.sqrt(near[linear_sum_assignment(near)].sum() + unmatched * CUTOFF_M**2 / 2)

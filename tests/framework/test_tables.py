@@ -44,6 +44,25 @@ def test_the_columns_are_what_their_names_say():
     assert row["rmse_m_high"] ** 2 == pytest.approx(np.mean(ok**2) + spread, rel=0.1)
 
 
+def test_a_source_that_was_missed_is_off():
+    """Two runs of three sources and, of another point of the sweep, one of a single one."""
+    runs = frame(
+        [0.1, np.nan, 2.0],
+        error_1_m=[0.1, np.nan, 2.0],
+        error_2_m=[np.nan, np.nan, np.nan],
+        error_3_m=[0.1, np.nan, np.nan],
+        sources=[3.0, 3.0, 1.0],
+        sources_found=[2.0, 0.0, 4.0],
+        gospa_m=[1.0, 2.0, 3.0],
+    )
+    (row,) = summarize(runs, outlier_m=1.0).to_dict("records")
+    assert row["outlier_rate"] == pytest.approx(5 / 7)  # 1 + 3 missed, 1 off by 2 m
+    assert row["gospa_m"] == pytest.approx(np.sqrt(14 / 3))
+    assert row["sources_found"] == pytest.approx(2.0)
+    assert row["rmse_m"] == pytest.approx(np.sqrt(4.01 / 2))
+    assert summarize(runs[1:2], outlier_m=1.0).outlier_rate[0] == 1
+
+
 def test_the_interval_covers_the_truth_about_as_often_as_it_says():
     rng = np.random.default_rng(7)
     runs = pd.concat([frame(np.abs(rng.normal(size=60)), method=f"m{i}") for i in range(60)], ignore_index=True)
@@ -77,6 +96,20 @@ def test_the_verdict_ranks_only_what_the_pairs_can_tell():
     assert "3 repetitions do not rank methods" in few
     assert "every other method is worse" in verdict(runs[runs.method != "level"], "rmse_m")
     assert verdict(frame([np.nan], status="failed"), "rmse_m") == "No run ended with an estimate."
+
+
+def test_the_verdict_goes_by_gospa_where_sources_were_missed():
+    """One source of three, the easiest one, has the smaller error; that must not win."""
+    all_three = frame(np.full(8, 0.3), "all", sources=3.0, sources_found=3.0, gospa_m=0.5)
+    easiest = frame(np.full(8, 0.1), "easiest", sources=3.0, sources_found=1.0, gospa_m=1.1)
+    text = verdict(pd.concat([all_three, easiest]), "rmse_m")
+    assert text.startswith(
+        "Not all found the true number of sources, so by gospa_m: all has the smallest error here (0.5"
+    )
+    same = verdict(pd.concat([all_three, easiest.assign(sources_found=3.0)]), "rmse_m")
+    assert same.startswith("easiest has the smallest error")
+    nothing = frame(np.full(8, np.nan), "nothing")
+    assert verdict(nothing, "rmse_m") == "No run ended with an estimate."
 
 
 def test_a_method_that_fails_where_it_is_hard_is_not_named_best():

@@ -12,6 +12,7 @@ from nfbench import OptionError
 from nfbench.options import build, canonical
 from nfbench.problems.arrays import ULA, UPA
 from nfbench.problems.geometry import cartesian, directions
+from nfbench.problems.instance import CUTOFF_M
 from nfbench.problems.scenario import NearField, NearFieldInstance
 
 MANIFEST = {
@@ -224,24 +225,60 @@ def test_line_of_sight_needs_no_fading():
     assert math.isinf(scenario(rician_k=math.inf, fading=None).rician_k)
 
 
+def matchings(true: int, found: int):
+    """Every way to match min(K, K̂) of K true sources with as many of K̂ estimates, as lists of pairs."""
+    for sources in itertools.combinations(range(true), min(true, found)):
+        for estimates in itertools.permutations(range(found), len(sources)):
+            yield list(zip(sources, estimates, strict=True))
+
+
 def errors_by_brute_force(instance: NearFieldInstance, estimate: np.ndarray) -> np.ndarray:
-    p, q = cartesian(instance.theta), cartesian(estimate)
-    best = min(itertools.permutations(range(len(q))), key=lambda order: ((p - q[list(order)]) ** 2).sum())
-    return np.linalg.norm(p - q[list(best)], axis=1)
+    d = np.linalg.norm(cartesian(instance.theta)[:, None] - cartesian(estimate), axis=-1)
+    best = min(matchings(*d.shape), key=lambda pairs: sum(d[pair] ** 2 for pair in pairs))
+    errors = np.full(len(d), math.nan)
+    for k, j in best:
+        errors[k] = d[k, j]
+    return errors
 
 
-@settings(deadline=None, database=None, derandomize=True, max_examples=50)
-@given(seed=st.integers(0, 2**32 - 1), sources=st.integers(1, 5))
-def test_score_is_the_best_assignment(seed, sources):
-    instance = draw(sources=sources, snapshots=1)
-    estimate = np.random.default_rng(seed).uniform(instance.lower, instance.upper, (sources, 2))
+def gospa_by_brute_force(instance: NearFieldInstance, estimate: np.ndarray, c: float) -> float:
+    """The definition: the least over all partial assignments γ of Σ d² + c²/2·(K + K̂ − 2|γ|), its root."""
+    d = np.linalg.norm(cartesian(instance.theta)[:, None] - cartesian(estimate), axis=-1)
+    everything = sum(d.shape)
+    return math.sqrt(
+        min(
+            sum(d[pair] ** 2 for pair in chosen) + c**2 / 2 * (everything - 2 * size)
+            for pairs in matchings(*d.shape)
+            for size in range(len(pairs) + 1)
+            for chosen in itertools.combinations(pairs, size)
+        )
+    )
+
+
+@settings(deadline=None, database=None, derandomize=True, max_examples=60)
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    sources=st.integers(1, 4),
+    found=st.integers(0, 4),
+    spread_m=st.sampled_from([0.3, 3.0]),
+)
+def test_score_is_the_best_assignment(seed, sources, found, spread_m):
+    instance = draw(sources=sources, snapshots=1, range_m=[5, 6], azimuth_deg=[0, 10])
+    rng = np.random.default_rng(seed)  # some estimates lie within the cut-off of gospa_m, some beyond
+    estimate = rng.uniform(instance.lower, instance.lower + np.array([0.2, spread_m]), (found, 2))
     scores = instance.score(estimate)
     errors = errors_by_brute_force(instance, estimate)
-    assert list(scores) == ["rmse_m", *(f"error_{k}_m" for k in range(1, sources + 1)), "floor_m"]
-    assert_allclose(list(scores.values())[1:-1], errors, rtol=1e-12)
-    assert scores["rmse_m"] == pytest.approx(math.sqrt(np.mean(errors**2)), rel=1e-12)
-    shuffled = np.random.default_rng(seed).permutation(estimate)
-    assert_allclose(list(instance.score(shuffled).values()), list(scores.values()), rtol=1e-12)
+    names = ["rmse_m", "gospa_m", "sources", "sources_found"]
+    assert list(scores) == [*names, *(f"error_{k}_m" for k in range(1, sources + 1)), "floor_m"]
+    assert_allclose(list(scores.values())[4:-1], errors, rtol=1e-9)
+    assert np.isnan(errors).sum() == max(sources - found, 0)
+    matched = errors[~np.isnan(errors)]
+    rmse = math.sqrt(np.mean(matched**2)) if found else math.nan
+    assert scores["rmse_m"] == pytest.approx(rmse, rel=1e-9, nan_ok=True)
+    assert scores["gospa_m"] == pytest.approx(gospa_by_brute_force(instance, estimate, CUTOFF_M), rel=1e-9)
+    assert (scores["sources"], scores["sources_found"]) == (sources, found)
+    shuffled = rng.permutation(estimate)
+    assert_allclose(list(instance.score(shuffled).values()), list(scores.values()), rtol=1e-9)
 
 
 def test_errors_belong_to_the_true_sources_in_order():
@@ -249,12 +286,22 @@ def test_errors_belong_to_the_true_sources_in_order():
     estimate = instance.theta[[2, 0, 1]].copy()
     estimate[1, 1] += 0.5  # of true source 1
     scores = instance.score(estimate)
-    assert_allclose(list(scores.values())[:4], [0.5 / math.sqrt(3), 0.5, 0.0, 0.0], atol=1e-12)
+    assert_allclose(list(scores.values())[:7], [0.5 / math.sqrt(3), 0.5, 3, 3, 0.5, 0.0, 0.0], atol=1e-12)
 
 
-@pytest.mark.parametrize("shape", [(2, 2), (4, 2), (3, 3), (6,), (0, 2)])
+def test_a_missed_source_and_one_too_many_cost_half_a_squared_cutoff_each():
+    instance = draw(positions=[[-40, 5], [0, 5], [40, 5]])
+    assert instance.score(instance.theta[:2])["gospa_m"] == pytest.approx(CUTOFF_M / math.sqrt(2))
+    twin = np.vstack([instance.theta, instance.theta[:1]])
+    assert instance.score(twin)["gospa_m"] == pytest.approx(CUTOFF_M / math.sqrt(2))
+    nothing = instance.score(np.empty((0, 2)))
+    assert nothing["gospa_m"] == pytest.approx(CUTOFF_M * math.sqrt(3 / 2))
+    assert math.isnan(nothing["rmse_m"])
+
+
+@pytest.mark.parametrize("shape", [(3, 3), (3, 1), (6,), (0,), (0, 3), (1, 3, 2)])
 def test_an_estimate_of_another_shape_is_refused(shape):
-    with pytest.raises(ValueError, match=r"estimate: expected shape \(3, 2\), a row per source, got"):
+    with pytest.raises(ValueError, match=r"estimate: expected shape \(K, 2\), a row per source, got"):
         draw().score(np.ones(shape))
 
 
