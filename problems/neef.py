@@ -5,11 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar, final
 
+import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
 from nfbench import Formulation, Incompatible, Instance, Minimize
 
+from .enumeration import Criterion, Sources, how_many
 from .esf import ESF
 from .instance import NearFieldInstance
 from .subspace import signal_subspace
@@ -23,16 +25,21 @@ __all__ = ["Neef"]
 class Neef(Formulation):
     """Near-field eigen-subspace fitting: minimize ESF once, over all sources (Mousavirad et al., Algorithm 2).
 
-    wavefront: what the estimator assumes (default: the scenario's).
+    wavefront: what the estimator assumes (default: the scenario's). sources: how many to look for: "known", the true
+    number; "estimate", by the criterion "aic", "mdl" or "ne" (Nadakuditi & Edelman); or a number, right or wrong.
     """
 
     accepts: ClassVar[type[Instance]] = NearFieldInstance
 
     wavefront: Wavefront | None = None
+    sources: Sources = "known"
+    criterion: Criterion = "ne"
 
     def solve(self, instance: NearFieldInstance, minimize: Minimize) -> Float[ndarray, "k d"]:
         """The sources (K, d) [rad, m]. Raises Incompatible with fewer snapshots than sources."""
-        K, T = instance.sources, instance.Y.shape[1]
+        K, T = how_many(instance, self.sources, self.criterion), instance.Y.shape[1]
+        if K == 0:
+            return np.empty((0, instance.manifold.dimension))
         if K > T:
             raise Incompatible(f"snapshots: expected at least {K} for the signal subspace of {K} sources, got {T}")
         U_s = signal_subspace(instance.Y, K)

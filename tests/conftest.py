@@ -8,7 +8,10 @@ import pytest
 
 # array shapes are checked while tests run, where no test feeds wrong shapes on purpose; before these are imported
 jaxtyping.install_import_hook(
-    [f"nfbench.problems.{name}" for name in ("bounds", "channels", "floor", "geometry", "subspace", "wavefronts")],
+    [
+        f"nfbench.problems.{name}"
+        for name in ("bounds", "channels", "enumeration", "floor", "geometry", "subspace", "wavefronts")
+    ],
     "beartype.beartype",
 )
 

@@ -4,15 +4,29 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from rich.console import Console
 from scipy import optimize
 
-from nfbench import Budget, Incompatible, MeteredProblem, Minimum, OptionError, Problem, Solver, SolverInfo, minimize
+from nfbench import (
+    Budget,
+    Incompatible,
+    MeteredProblem,
+    Minimum,
+    OptionError,
+    Problem,
+    Solver,
+    SolverInfo,
+    load_study,
+    minimize,
+    run,
+)
 from nfbench.options import build
 from nfbench.problems.esf import ESF
 from nfbench.problems.neef import Neef
 from nfbench.problems.nemo import Nemo
 from nfbench.problems.rls import RLS
 from nfbench.problems.scenario import NearField
+from nfbench.report import print_report
 
 MANIFEST = {
     "array": {"kind": "ula", "elements": 64, "spacing_wavelengths": 0.25, "origin": "center"},
@@ -173,3 +187,98 @@ def test_impossible_options_are_refused(options):
     (name,) = options
     with pytest.raises(OptionError, match=name):
         Nemo(**options)
+
+
+def test_another_number_of_sources_may_be_assumed_or_estimated():
+    instance = scene()
+    ends = [*instance.theta, instance.lower, instance.upper]
+    for sources, found in (("known", 2), ("estimate", 2), (1, 1), (4, 4)):
+        problems: list[Problem] = []
+        estimate = Nemo(sources=sources).solve(instance, answering(ends, problems))
+        assert_array_equal(estimate, ends[:found])
+        assert len(problems) == found
+        problems.clear()
+        estimate = Neef(sources=sources).solve(instance, answering([np.ravel(ends[:found])], problems))
+        assert_array_equal(estimate, ends[:found])
+        assert [problem.dimension for problem in problems] == [2 * found]
+
+
+def test_where_no_source_is_estimated_the_estimate_is_empty():
+    instance = scene(snr_db=-60.0, snapshots=200)
+    for formulation in (Nemo(sources="estimate", criterion="mdl"), Neef(sources="estimate", criterion="mdl")):
+        assert formulation.solve(instance, answering([], [])).shape == (0, 2)
+
+
+def test_a_run_that_finds_nothing_is_an_answer_from_the_manifest_to_the_table(tmp_path):
+    path = tmp_path / "nothing.toml"
+    path.write_text(
+        """
+        name = "nothing"
+        repetitions = 1
+        seed = 1
+        [scenario]
+        kind = "near-field"
+        array = { kind = "ula", elements = 8, spacing_wavelengths = 0.5, origin = "center" }
+        wavelength_m = 0.02
+        sources = 2
+        snapshots = 20
+        snr_db = 10.0
+        azimuth_deg = [-60, 60]
+        range_m = [0.1, 1.0]
+        [[formulation]]
+        kind = "nemo"
+        stop_below = 8.1            # more than all the energy
+        [[formulation]]
+        kind = "nemo"
+        sources = 1
+        [[solver]]
+        kind = "random-search"
+        [budget]
+        evaluations = 50
+        """
+    )
+    results = run(load_study(path), out=tmp_path / "out", jobs=1)
+    assert results.runs.status.tolist() == ["ok", "ok"]
+    assert results.runs.sources_found.tolist() == [0, 1]
+    nothing, one = results.summary().to_dict("records")
+    assert math.isnan(nothing["rmse_m"])
+    assert nothing["outlier_rate"] == 1
+    assert nothing["gospa_m"] == pytest.approx(1.0)  # two missed: √(2·c²/2)
+    assert one["outlier_rate"] >= 0.5
+    print_report(results, Console(width=120))
+
+
+def test_aic_needs_as_many_snapshots_as_antennas():
+    for formulation in (Nemo, Neef):
+        with pytest.raises(Incompatible, match="criterion"):
+            formulation(sources="estimate", criterion="aic").solve(scene(), solved())
+
+
+def qualities(instance, answers) -> list[float]:
+    """‖aᴴY‖²/M over the mean of ‖Y‖² in M − k dimensions, with the projectors written out."""
+    Y, M, told = instance.Y, len(instance.Y), []
+    for k, a in enumerate(instance.manifold.response(np.array(answers))):
+        told.append(np.linalg.norm(a.conj() @ Y) ** 2 / M / (np.linalg.norm(Y) ** 2 / (M - k)))
+        Y = Y - np.outer(a, a.conj()) @ Y / M
+    return told
+
+
+def test_nemo_stops_at_the_first_detection_below_the_quality_asked_for():
+    instance = scene(snr_db=[30.0, -10.0])
+    answers = [*instance.theta, np.array([0.0, 3.0])]  # two sources, and a place where there is none
+    told = qualities(instance, answers)
+    assert told[0] > 2 * told[1] > 4 * told[2]
+    for found, quality in enumerate(told):
+        for stop_below, stays in ((0.999 * quality, found + 1), (1.001 * quality, found)):
+            estimate = Nemo(sources=3, stop_below=stop_below).solve(instance, answering(answers, []))
+            assert_array_equal(estimate, np.reshape(answers[:stays], (-1, 2)))
+    assert len(Nemo(sources=3).solve(instance, answering(answers, []))) == 3  # off by default
+
+
+@pytest.mark.parametrize(("snr_db", "found"), [(-60.0, 0), (0.0, 2), (20.0, 2)])
+def test_at_the_edge_of_noise_nemo_stops_when_the_sources_are_found(snr_db, found):
+    """(1 + √(M/T))², beyond which eigenvalues of noise do not lie."""
+    edge = (1 + math.sqrt(64 / 200)) ** 2
+    instance = scene(snr_db=snr_db, snapshots=200)
+    estimate = Nemo(sources=5, stop_below=edge).solve(instance, solved())
+    assert len(estimate) == found
