@@ -16,7 +16,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from .errors import PluginError
-from .options import OneOf, build, canonical
+from .options import OneOf, Options, build, canonical
 from .registry import Registry
 from .solver import Solver
 
@@ -58,6 +58,8 @@ def print_plugin(registry: Registry, kind: str, name: str, console: Console) -> 
             if isinstance(mark, OneOf):
                 for kind_, choice in mark.classes.items():
                     _print_options(f'{name} = {{ kind = "{kind_}", … }}', choice, console)
+        if _is_table(hint):
+            _print_options(f"{name} = {{ … }}", hint, console)
 
 
 def solvers_named(name: str, plugins: Iterable[Path] = ()) -> Iterator[tuple[str, Solver]]:
@@ -123,6 +125,8 @@ def _type(hint: Any) -> str:
             return "table of kind " + " | ".join(marks[0].classes)
         limits = [_limit(mark) for mark in marks]
         return " ".join([_type(typing.get_args(hint)[0]), *filter(None, limits)])
+    if _is_table(hint):
+        return "table"
     if typing.get_origin(hint) is tuple:
         parts = [_type(part) for part in typing.get_args(hint) if part is not ...]
         return f"[{', '.join(parts)}{', …' if ... in typing.get_args(hint) else ''}]"
@@ -131,6 +135,10 @@ def _type(hint: Any) -> str:
     if typing.get_args(hint) and typing.get_origin(hint) not in (tuple, list, dict):
         return " | ".join(_type(part) for part in typing.get_args(hint) if part is not type(None))
     return hint.__name__ if isinstance(hint, type) and not typing.get_args(hint) else str(hint).replace("typing.", "")
+
+
+def _is_table(hint: Any) -> bool:
+    return isinstance(hint, type) and issubclass(hint, Options)
 
 
 def _marks(hint: Any) -> tuple[Any, ...]:
@@ -153,4 +161,7 @@ def _default(option: dataclasses.Field[Any]) -> str:
     else:
         value = option.default_factory()
     plain = canonical(value)
-    return "none" if value is None else plain["kind"] if isinstance(plain, dict) and "kind" in plain else str(plain)
+    if isinstance(plain, dict):
+        given = ", ".join(f"{name} = {item}" for name, item in plain.items() if item is not None)
+        return plain.get("kind") or f"{{ {given} }}".replace("{  }", "{}")
+    return "none" if value is None else str(plain)

@@ -5,6 +5,8 @@ A solver, formulation, scenario or array is an :class:`Options`. A field's type 
 
     population: Annotated[int, Ge(4)] = 50
     bounds: Literal["resample", "clip"] = "resample"
+
+A field whose type is itself an :class:`Options` takes a table of that class's options.
 """
 
 from __future__ import annotations
@@ -13,13 +15,14 @@ import contextlib
 import contextvars
 import dataclasses
 import difflib
+import functools
 import typing
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
 from annotated_types import Ge, Gt, Le, Lt
-from pydantic import AfterValidator, ConfigDict, TypeAdapter, ValidationError
+from pydantic import AfterValidator, ConfigDict, PlainValidator, TypeAdapter, ValidationError
 
 from .errors import OptionError
 
@@ -164,9 +167,20 @@ def _adapters(cls: type[Options]) -> dict[str, TypeAdapter[Any]]:
 
 
 def _schema(hint: Any) -> Any:
-    """The type as pydantic is to see it: what OneOf holds it checks itself, whatever the base is."""
+    """The type as pydantic is to see it: tables become objects, which check themselves."""
     marks = [mark for mark in getattr(hint, "__metadata__", ()) if isinstance(mark, OneOf)]
+    if isinstance(hint, type) and issubclass(hint, Options):
+        return Annotated[Any, PlainValidator(functools.partial(_table, hint))]
     return Annotated[Any, marks[0]] if marks else hint
+
+
+def _table(cls: type[Options], value: Any) -> Options:
+    """An object of this class, as it is or from its table."""
+    if isinstance(value, cls):
+        return value
+    if not isinstance(value, Mapping):
+        raise ValueError(f"expected a table ({', '.join(f.name for f in dataclasses.fields(cls))}), got {value!r}")
+    return build(cls, value)
 
 
 def _checked(cls: type[Options], name: str, value: Any) -> tuple[Any, list[tuple[str, str]]]:
