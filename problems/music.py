@@ -46,7 +46,7 @@ class Grid(Options):
     elevation: _Points = None
     range: _Points = None
 
-    def axes(self, lower: Float[ndarray, " d"], upper: Float[ndarray, " d"]) -> list[Float[ndarray, " n"]]:
+    def axes(self, lower: Float[ndarray, " d"], upper: Float[ndarray, " d"]) -> list[Float[ndarray, " _"]]:
         """The coordinates along each side of a box [rad, m]. Raises Incompatible for elevations in the plane."""
         if len(lower) == 2 and self.elevation is not None:
             raise Incompatible(f"grid.elevation: expected none for a scenario in the plane, got {self.elevation}")
@@ -73,7 +73,7 @@ class Music(Formulation):
     accepts: ClassVar[type[Instance]] = NearFieldInstance
     needs_solver: ClassVar[bool] = False
 
-    grid: Grid = Grid()  # noqa: RUF009  # frozen
+    grid: Grid = Grid()
     refine: bool = False
     wavefront: Wavefront | None = None
 
@@ -96,7 +96,7 @@ class Music(Formulation):
 
 
 def grid_maxima(
-    U_s: Complex[ndarray, "m k"], manifold: Manifold, axes: list[Float[ndarray, " n"]], keep: int
+    U_s: Complex[ndarray, "m k"], manifold: Manifold, axes: list[Float[ndarray, " _"]], keep: int
 ) -> Float[ndarray, "p d"]:
     """The highest local maxima of ‖U_sᴴa‖² on a grid among all their neighbours, corners too, highest first.
 

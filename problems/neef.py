@@ -14,6 +14,7 @@ from nfbench import Formulation, Incompatible, Instance, Minimize
 from .enumeration import Criterion, Sources, how_many
 from .esf import ESF
 from .instance import NearFieldInstance
+from .refine import refine
 from .subspace import signal_subspace
 from .wavefronts import Wavefront
 
@@ -27,6 +28,7 @@ class Neef(Formulation):
 
     wavefront: what the estimator assumes (default: the scenario's). sources: how many to look for: "known", the true
     number; "estimate", by the criterion "aic", "mdl" or "ne" (Nadakuditi & Edelman); or a number, right or wrong.
+    refine: search on from the solver's minimizer by L-BFGS-B, beside its budget.
     """
 
     accepts: ClassVar[type[Instance]] = NearFieldInstance
@@ -34,6 +36,7 @@ class Neef(Formulation):
     wavefront: Wavefront | None = None
     sources: Sources = "known"
     criterion: Criterion = "ne"
+    refine: bool = False
 
     def solve(self, instance: NearFieldInstance, minimize: Minimize) -> Float[ndarray, "k d"]:
         """The sources (K, d) [rad, m]. Raises Incompatible with fewer snapshots than sources."""
@@ -43,5 +46,7 @@ class Neef(Formulation):
         if K > T:
             raise Incompatible(f"snapshots: expected at least {K} for the signal subspace of {K} sources, got {T}")
         U_s = signal_subspace(instance.Y, K)
-        problem = ESF(U_s, instance.manifold.under(self.wavefront), instance.lower, instance.upper)
-        return minimize(problem).x.reshape(K, -1)
+        manifold = instance.manifold.under(self.wavefront)
+        problem = ESF(U_s, manifold, instance.lower, instance.upper)
+        x = minimize(problem).x
+        return (refine(problem, x, manifold) if self.refine else x).reshape(K, -1)

@@ -14,6 +14,7 @@ from nfbench import Formulation, Ge, Instance, Lt, Minimize
 
 from .enumeration import Criterion, Sources, how_many
 from .instance import NearFieldInstance
+from .refine import refine
 from .rls import RLS, deflate
 from .subspace import compress
 from .wavefronts import Wavefront
@@ -26,7 +27,7 @@ __all__ = ["Nemo"]
 class Nemo(Formulation):
     """Near-field multimodal localization: K times, minimize RLS and deflate (Mousavirad et al., Algorithm 1).
 
-    Every detection is accepted, unless ``stop_below`` is given; a local search afterwards is the solver's to make.
+    Every detection is accepted, unless ``stop_below`` is given.
 
     alpha: repulsion from sources found before. alpha_relative: instead of alpha, in units of ‖Y‖²/M of the residual.
     delta_min: how far it reaches [1 rad, 1 m alike]. wavefront: what the estimator assumes (default: the scenario's).
@@ -35,6 +36,7 @@ class Nemo(Formulation):
     which, to end early. It is the energy explained over the mean energy of the residual in each of its M − k
     dimensions, k found before: about 1 where noise is explained at any one place, and hardly above (1 + √(M/T))² at
     the best, as eigenvalues of noise end there (Marchenko & Pastur 1967). Default: no such end.
+    refine: search on from each of the solver's minimizers by L-BFGS-B, before deflation and beside its budget.
     """
 
     accepts: ClassVar[type[Instance]] = NearFieldInstance
@@ -46,6 +48,7 @@ class Nemo(Formulation):
     sources: Sources = "known"
     criterion: Criterion = "ne"
     stop_below: Annotated[float, Ge(0.0), Lt(math.inf)] | None = None
+    refine: bool = False
 
     def solve(self, instance: NearFieldInstance, minimize: Minimize) -> Float[ndarray, "k d"]:
         """The sources (K, d) in the order of their detection [rad, m]."""
@@ -64,6 +67,8 @@ class Nemo(Formulation):
                 alpha_relative=self.alpha_relative,
             )
             theta = minimize(residual).x  # θ̂_k
+            if self.refine:
+                theta = refine(residual, theta, manifold)
             left = deflate(Y, manifold.response(theta))  # Y − a(θ̂_k)·ŝ_kᵀ
             if self.stop_below is not None and _quality(Y, left, len(detected)) < self.stop_below:
                 break

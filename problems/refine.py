@@ -41,7 +41,9 @@ def refine(problem: Problem, x: Float[ndarray, " n"], manifold: Manifold) -> Flo
     is_range = np.arange(len(x)) % d == angles
 
     def invert(v: Float[ndarray, " n"]) -> Float[ndarray, " n"]:
-        return np.where(is_range, 1 / v, v)
+        inverted = v.copy()
+        inverted[is_range] = 1 / v[is_range]
+        return inverted
 
     def locate(z: Float[ndarray, " n"]) -> Float[ndarray, " n"]:
         return np.clip(invert(z * unit), problem.lower, problem.upper)
