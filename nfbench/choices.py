@@ -105,5 +105,12 @@ class Chooser:
             for key, value in choice.options.items()
             if any(other.options.get(key) != value for other in others if not other.label)
         ]
-        shown = ", ".join(f"{key}={choice.options[key]}" for key in differing)
+        shown = ", ".join(f"{key}={_plain(choice.options[key])}" for key in differing)
         return f"{choice.kind}({shown})" if shown else choice.kind
+
+
+def _plain(value: Any) -> str:
+    """A value as a label shows it: of a table only what is set."""
+    if isinstance(value, dict):
+        return f"{{{', '.join(f'{name}={_plain(item)}' for name, item in value.items() if item is not None)}}}"
+    return str(value)

@@ -114,3 +114,29 @@ def test_one_of_several_may_share_a_base_of_options():
         shape: Annotated[Shape, OneOf(Disc)] = field(default_factory=Disc)
 
     assert build(Holder, {"shape": {"kind": "disc"}}).shape == Disc()
+
+
+@dataclass(frozen=True)
+class Nested(Options):
+    line: Line = Line()  # frozen
+
+
+def test_a_field_of_options_takes_their_table():
+    made = build(Nested, {"line": {"elements": 3}})
+    assert made == Nested(line=Line(3)) and made.line.elements == 3
+    assert build(Nested, {}) == Nested()
+    assert build(Nested, {"line": Line(5)}).line == Line(5)
+
+
+@pytest.mark.parametrize(
+    ("line", "expected"),
+    [
+        ({"elements": 1}, ("line.elements", "expected greater than or equal to 2, got 1")),
+        ({"element": 3}, ("line.element", 'unknown option; did you mean "elements"?')),
+        (3, ("line", "expected a table (elements), got 3")),
+    ],
+)
+def test_a_wrong_table_is_told_with_its_path(line, expected):
+    with pytest.raises(OptionError) as refused:
+        build(Nested, {"line": line})
+    assert refused.value.problems == [expected]
