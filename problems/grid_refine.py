@@ -31,7 +31,7 @@ class GridRefine(Formulation):
     """ESF minimized without an optimizer: what a global one has to beat.
 
     Sources are chosen one by one from a grid as fine as the array resolves, each where the span of all grows most
-    towards the signal subspace (order-recursive matching pursuit; Gharavi-Alkhansari & Huang 1998), and then refined
+    towards the signal subspace (orthogonal least squares; Chen, Billings & Luo 1989), and then refined
     together by L-BFGS-B. Then, as in alternating projection (Ziskind & Wax 1988), each in turn is chosen anew given the
     others and all are refined again, until a sweep over the sources gains nothing.
 

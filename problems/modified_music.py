@@ -39,7 +39,7 @@ class ModifiedMusic(Formulation):
     accepts: ClassVar[type[Instance]] = NearFieldInstance
     needs_solver: ClassVar[bool] = False
 
-    grid: Grid = Grid()
+    grid: Grid = Grid()  # noqa: RUF009  # frozen
     refine: bool = False
     wavefront: Wavefront | None = None
 

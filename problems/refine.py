@@ -19,8 +19,8 @@ ROUNDS = 10  # L-BFGS-B may end on a narrow ridge after one tiny step; begun ane
 def resolution(manifold: Manifold) -> tuple[float, float]:
     """The beamwidth λ/D [rad] at broadside and the depth of focus 4λ/D² in inverse range [1/m].
 
-    D = 2·max‖q_m − q̄‖ is the aperture. Half a turn of phase, from the centre of the aperture to its edge, is what the
-    one changes the linear and the other the quadratic part of a response by: the first is its null-to-peak width.
+    D = 2·max‖q_m − q̄‖ is the aperture. By the one the linear, by the other the quadratic part of the phase changes by
+    half a turn from the centre of the aperture to its edge.
     """
     spread = manifold.positions - manifold.positions.mean(axis=0)
     aperture = 2 * float(np.sqrt(np.sum(spread**2, axis=1).max()))

@@ -10,7 +10,7 @@ import pytest
 jaxtyping.install_import_hook(
     [
         f"nfbench.problems.{name}"
-        for name in ("bounds", "channels", "enumeration", "floor", "geometry", "subspace", "wavefronts")
+        for name in ("bounds", "channels", "enumeration", "floor", "geometry", "refine", "subspace", "wavefronts")
     ],
     "beartype.beartype",
 )

@@ -282,3 +282,22 @@ def test_at_the_edge_of_noise_nemo_stops_when_the_sources_are_found(snr_db, foun
     instance = scene(snr_db=snr_db, snapshots=200)
     estimate = Nemo(sources=5, stop_below=edge).solve(instance, solved())
     assert len(estimate) == found
+
+
+def test_refine_searches_on_from_the_solvers_minimizer():
+    """NEMO refines each detection before it deflates, NEEF all sources at once; neither does unless asked."""
+    instance = scene()
+    off = instance.theta + np.array([0.01, 0.02])
+    for formulation, answers in ((Nemo, list(off)), (Neef, [off.ravel()])):
+        problems: list[Problem] = []
+        plain = formulation().solve(instance, answering(answers, []))
+        refined = formulation(refine=True).solve(instance, answering(answers, problems))
+        assert_array_equal(plain, off)
+        assert instance.score(refined)["rmse_m"] < 0.2 * instance.score(plain)["rmse_m"]
+        found = list(refined) if formulation is Nemo else [refined.ravel()]
+        for problem, x, start in zip(problems, found, answers, strict=True):
+            assert problem.value(x) < problem.value(start)
+    a = instance.manifold.response(Nemo(refine=True).solve(instance, answering(list(off), problems := []))[0])
+    residual = np.linalg.norm(instance.Y - np.outer(a, a.conj() @ instance.Y) / 64) ** 2
+    assert problems[0].value(off[0]) > residual
+    assert problems[1].value(instance.upper) <= residual  # the second search sees what the refined first one left
