@@ -13,6 +13,7 @@ from numpy import ndarray
 from nfbench import Formulation, Ge, Gt, Incompatible, Instance, Le, Minimize
 
 from . import kernels
+from .enumeration import Criterion, Sources, how_many
 from .esf import ESF
 from .geometry import direction_derivatives
 from .instance import NearFieldInstance
@@ -36,7 +37,7 @@ class GridRefine(Formulation):
     others and all are refined again, until a sweep over the sources gains nothing.
 
     density: grid points a beamwidth, and a depth of focus. sweeps: how often at most each source is chosen anew.
-    wavefront: what the estimator assumes (default: the scenario's).
+    wavefront: what the estimator assumes (default: the scenario's). sources, criterion: how many, as of ``neef``.
     """
 
     accepts: ClassVar[type[Instance]] = NearFieldInstance
@@ -45,10 +46,14 @@ class GridRefine(Formulation):
     density: Annotated[float, Gt(0.0), Le(100.0)] = 2.0
     sweeps: Annotated[int, Ge(0)] = 5
     wavefront: Wavefront | None = None
+    sources: Sources = "known"
+    criterion: Criterion = "ne"
 
     def solve(self, instance: NearFieldInstance, minimize: Minimize) -> Float[ndarray, "k d"]:
         """The sources (K, d) [rad, m]. Raises Incompatible with fewer snapshots than sources."""
-        K, T = instance.sources, instance.Y.shape[1]
+        K, T = how_many(instance, self.sources, self.criterion), instance.Y.shape[1]
+        if K == 0:
+            return np.empty((0, instance.manifold.dimension))
         if K > T:
             raise Incompatible(f"snapshots: expected at least {K} for the signal subspace of {K} sources, got {T}")
         manifold = instance.manifold.under(self.wavefront)

@@ -12,6 +12,7 @@ from scipy.linalg import hankel, toeplitz
 
 from nfbench import Formulation, Incompatible, Instance, Minimize
 
+from .enumeration import Criterion, Sources, how_many
 from .instance import NearFieldInstance
 from .music import Grid, grid_maxima
 from .refine import refine
@@ -33,7 +34,8 @@ class ModifiedMusic(Formulation):
     wavefront is odd and biases the angles. Two sources at one angle are seen as one.
 
     grid: points in azimuth and range. refine: climb on from the grid's points, in azimuth and then in range.
-    wavefront: what the search for ranges assumes (default: the scenario's).
+    wavefront: what the search for ranges assumes (default: the scenario's). sources, criterion: how many, as of
+    ``neef``.
     """
 
     accepts: ClassVar[type[Instance]] = NearFieldInstance
@@ -42,6 +44,8 @@ class ModifiedMusic(Formulation):
     grid: Grid = Grid()  # noqa: RUF009  # frozen
     refine: bool = False
     wavefront: Wavefront | None = None
+    sources: Sources = "known"
+    criterion: Criterion = "ne"
 
     def solve(self, instance: NearFieldInstance, minimize: Minimize) -> Float[ndarray, "k d"]:
         """The sources (K, 2), highest peak in angle first [rad, m]; fewer where the angles have fewer peaks.
@@ -49,8 +53,10 @@ class ModifiedMusic(Formulation):
         Raises Incompatible in 3D; for all but a centred ULA along y of spacing below λ/(4·sinφ_max); for 2K elements
         or fewer; and with fewer snapshots than sources.
         """
-        K, (M, T) = instance.sources, instance.Y.shape
+        K, (M, T) = how_many(instance, self.sources, self.criterion), instance.Y.shape
         spacing = _spacing(instance)
+        if K == 0:
+            return np.empty((0, 2))
         if M <= 2 * K:
             raise Incompatible(f"array: expected more than {2 * K} elements for {K} sources, got {M}")
         if K > T:

@@ -14,6 +14,7 @@ from scipy.ndimage import label, maximum_filter
 from nfbench import Formulation, Ge, Incompatible, Instance, Minimize, Options
 
 from . import kernels
+from .enumeration import Criterion, Sources, how_many
 from .instance import NearFieldInstance
 from .refine import refine
 from .rls import RLS
@@ -67,7 +68,7 @@ class Music(Formulation):
     estimate is filled up with the highest maxima left.
 
     grid: points in azimuth, elevation and range. refine: report the peaks climbed to instead of the grid's points.
-    wavefront: what the estimator assumes (default: the scenario's).
+    wavefront: what the estimator assumes (default: the scenario's). sources, criterion: how many, as of ``neef``.
     """
 
     accepts: ClassVar[type[Instance]] = NearFieldInstance
@@ -76,13 +77,17 @@ class Music(Formulation):
     grid: Grid = Grid()
     refine: bool = False
     wavefront: Wavefront | None = None
+    sources: Sources = "known"
+    criterion: Criterion = "ne"
 
     def solve(self, instance: NearFieldInstance, minimize: Minimize) -> Float[ndarray, "k d"]:
         """The sources (K, d), highest peak first [rad, m]; fewer where the grid has fewer local maxima.
 
         Raises Incompatible with fewer snapshots than sources, or for a grid in elevation in the plane.
         """
-        K, T = instance.sources, instance.Y.shape[1]
+        K, T = how_many(instance, self.sources, self.criterion), instance.Y.shape[1]
+        if K == 0:
+            return np.empty((0, instance.manifold.dimension))
         if K > T:
             raise Incompatible(f"snapshots: expected at least {K} for the signal subspace of {K} sources, got {T}")
         axes = self.grid.axes(instance.lower, instance.upper)

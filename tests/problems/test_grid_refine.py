@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import oracles
 import pytest
@@ -92,7 +94,7 @@ def test_sweeps_mend_a_greedy_choice_that_was_wrong():
 def test_without_noise_the_sources_are_found():
     instance = scene(positions=[[-35, 3.0], [10, 8.0], [30, 2.0]])
     Y = instance.manifold.response(instance.theta).T @ np.diag([1.0, 2.0, 3.0])
-    estimate = solve(NearFieldInstance(Y, instance.theta, instance.manifold, instance.lower, instance.upper))
+    estimate = solve(replace(instance, Y=Y))
     assert_allclose(estimate[np.argsort(estimate[:, 0])], instance.theta, atol=1e-5)
 
 

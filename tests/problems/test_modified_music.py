@@ -37,7 +37,7 @@ def noise_free(array: dict | None = None, **changes) -> NearFieldInstance:
     K, T = instance.sources, instance.Y.shape[1]
     S = np.exp(2j * np.pi * np.outer(np.arange(K), np.arange(T)) / T)
     A = np.array([oracles.response(instance.manifold, theta) for theta in instance.theta]).T
-    return NearFieldInstance(A @ S, instance.theta, instance.manifold, instance.lower, instance.upper)
+    return replace(instance, Y=A @ S)
 
 
 def solve(instance: NearFieldInstance, **options) -> np.ndarray:
@@ -101,7 +101,7 @@ def test_a_mirrored_array_is_the_same_array():
     """Elements may be numbered from either end."""
     instance = scene()
     manifold = replace(instance.manifold, positions=instance.manifold.positions[::-1])
-    mirrored = NearFieldInstance(instance.Y[::-1], instance.theta, manifold, instance.lower, instance.upper)
+    mirrored = replace(instance, Y=instance.Y[::-1], manifold=manifold)
     assert_allclose(solve(mirrored, refine=True), solve(instance, refine=True), atol=1e-6)
 
 

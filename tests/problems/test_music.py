@@ -1,6 +1,7 @@
 import itertools
 import math
 import tracemalloc
+from dataclasses import replace
 
 import numpy as np
 import oracles
@@ -11,7 +12,9 @@ import nfbench
 from nfbench import Incompatible, OptionError
 from nfbench.options import build
 from nfbench.problems import music
+from nfbench.problems.grid_refine import GridRefine
 from nfbench.problems.instance import NearFieldInstance
+from nfbench.problems.modified_music import ModifiedMusic
 from nfbench.problems.music import Grid, Music, grid_maxima, pick_peaks
 from nfbench.problems.refine import refine
 from nfbench.problems.rls import RLS
@@ -50,7 +53,7 @@ def noise_free(**changes) -> NearFieldInstance:
     K, T = instance.sources, instance.Y.shape[1]
     S = np.exp(2j * np.pi * np.outer(np.arange(K), np.arange(T)) / T)
     A = np.array([oracles.response(instance.manifold, theta) for theta in instance.theta]).T
-    return NearFieldInstance(A @ S, instance.theta, instance.manifold, instance.lower, instance.upper)
+    return replace(instance, Y=A @ S)
 
 
 def solve(formulation, instance: NearFieldInstance) -> np.ndarray:
@@ -263,3 +266,12 @@ def test_impossible_grids_are_refused(grid, path):
     with pytest.raises(OptionError) as refused:
         build(Music, {"grid": grid})
     assert [where for where, _ in refused.value.problems] == [path]
+
+
+@pytest.mark.parametrize("formulation", [Music, ModifiedMusic, GridRefine])
+def test_another_number_of_sources_may_be_assumed_or_estimated(formulation):
+    instance = scene(array=PAPER["array"] | {"origin": "center"})
+    assert len(solve(formulation(sources="estimate"), instance)) == 3
+    assert len(solve(formulation(sources=2), instance)) == 2
+    silence = scene(array=PAPER["array"] | {"origin": "center"}, snr_db=-60.0)
+    assert solve(formulation(sources="estimate", criterion="mdl"), silence).shape == (0, 2)
