@@ -1,0 +1,155 @@
+"""What figures are made of: the study's summary, with intervals for all that they draw."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Literal, TypeAlias, final
+
+import numpy as np
+import pandas as pd
+from numpy import ndarray
+from scipy.stats import binom
+
+from ..budget import Status
+from ..errors import NfbenchError
+from ..results import Results
+from ..tables import CONFIDENCE, MIN_RUNS, RESAMPLES, default_groups
+from .labels import Places, places
+from .style import Style, styles
+
+__all__ = ["Drawn", "Metric", "Wanted", "drawn"]
+
+Wanted: TypeAlias = Literal["rmse", "median"]
+
+
+@final
+@dataclass(frozen=True)
+class Metric:
+    """One column of the summary on an axis; its interval is in ``<column>_low`` and ``_high``."""
+
+    column: str
+    label: str
+    bounded: bool = False  # whether the bound and the floor, which are root mean squares, say anything about it
+    share: bool = False
+
+
+@final
+@dataclass(frozen=True)
+class Drawn:
+    """A study as its figures see it.
+
+    table: the summary, with intervals of the median and of the mean run time. runs: all finished runs. where: what is
+    held fixed, as (column, value) pairs.
+    """
+
+    runs: pd.DataFrame
+    table: pd.DataFrame
+    error: str
+    outlier_m: float
+    title: str
+    styles: dict[str, Style]
+    where: tuple[tuple[str, Any], ...] = ()
+
+    @cached_property
+    def swept(self) -> list[str]:
+        """The swept columns that are not held fixed."""
+        fixed = [column for column, _ in self.where]
+        return [column for column in default_groups(self.runs)[:-3] if column not in fixed]
+
+    @property
+    def methods(self) -> list[str]:
+        return list(self.styles)
+
+    @cached_property
+    def along(self) -> tuple[str, Places | None] | None:
+        """The swept column on the x axis, the first numeric one if any is, and its places; None without a sweep."""
+        found = [(column, places(key_of(column), self.table[column].tolist())) for column in self.swept]
+        return next((pair for pair in found if pair[1]), found[0] if found else None)
+
+    def by(self, columns: Sequence[str]) -> list[Drawn]:
+        """The parts in which these columns are constant, in the study's order; itself where there are none."""
+        if not columns:
+            return [self]
+        settings = dict.fromkeys(zip(*(self.table[column].tolist() for column in columns), strict=True))
+        return [self._at(tuple(zip(columns, setting, strict=True))) for setting in settings]
+
+    def _at(self, where: tuple[tuple[str, Any], ...]) -> Drawn:
+        def here(frame: pd.DataFrame) -> pd.DataFrame:
+            return frame[np.logical_and.reduce([frame[column] == value for column, value in where])]
+
+        return Drawn(
+            here(self.runs), here(self.table), self.error, self.outlier_m, self.title, self.styles, self.where + where
+        )
+
+    def metrics(self, wanted: Wanted | None) -> list[Metric]:
+        """RMSE, median, and how many are far off where any is; or only the one wanted."""
+        metres = self.error == "rmse_m"
+        rmse = Metric(self.error, "RMSE [m]" if metres else f"RMS {self.error}", bounded=metres)
+        median = Metric(_median(self.error), "Median error [m]" if metres else f"Median {self.error}")
+        if wanted:
+            return [rmse if wanted == "rmse" else median]
+        far = Metric("outlier_rate", f"Off by > {self.outlier_m:g} m [%]", share=True)
+        return [rmse, median, *([far] if (self.table["outlier_rate"] > 0).any() else [])]
+
+    def bound(self, column: str) -> pd.DataFrame:
+        """A bound at each point of the table, over its methods; without those where nobody knows it."""
+        if column not in self.table:
+            return self.table.iloc[:0]
+        known = self.table[self.table[column].notna()]
+        return known.groupby(self.swept, sort=False)[column].median().reset_index() if self.swept else known.iloc[:1]
+
+    def of(self, method: str) -> pd.DataFrame:
+        """The table's rows of one method."""
+        return self.table[self.table["method"] == method]
+
+
+def key_of(column: str) -> str:
+    """A swept column's key in the manifest."""
+    return column.removeprefix("scenario.")
+
+
+def drawn(results: Results, title: bool = True) -> Drawn:
+    """What there is to draw. Raises StoreError without a study, NfbenchError where no run has an estimate yet."""
+    runs, meta = results.runs, results.meta
+    ok = runs[runs["status"] == Status.OK]
+    if ok.empty:
+        state = "is finished yet" if runs.empty else "ended with an estimate"
+        raise NfbenchError(f"{results.folder}: nothing to draw: no run {state}")
+    error, by = meta["error"], default_groups(runs)
+    table = results.summary()
+    groups: dict[Any, pd.DataFrame] = dict(list(ok.groupby(by, sort=False)))
+    keys = [tuple(row) for row in table[by].itertuples(index=False)]
+    for values, column, interval in (
+        (error, _median(error), _median_interval),
+        ("runtime_s", "runtime_s", _mean_interval),
+    ):
+        pairs = [interval(groups[key][values].to_numpy()) if key in groups else (math.nan, math.nan) for key in keys]
+        table[f"{column}_low"], table[f"{column}_high"] = zip(*pairs, strict=True)
+    methods = list(dict.fromkeys(runs["method"]))
+    return Drawn(runs, table, error, float(meta["outlier_m"]), meta["title"] if title else "", styles(methods))
+
+
+def _median(error: str) -> str:
+    return "median_m" if error == "rmse_m" else f"{error}_median"
+
+
+def _median_interval(values: ndarray) -> tuple[float, float]:
+    """Of the median, free of any distribution: between two order statistics (David & Nagaraja 2003, § 7.1)."""
+    rank = int(binom.ppf((1 - CONFIDENCE) / 2, len(values), 0.5))
+    if rank < 1:
+        return math.nan, math.nan
+    ordered = np.sort(values)
+    return float(ordered[rank - 1]), float(ordered[-rank])
+
+
+def _mean_interval(values: ndarray) -> tuple[float, float]:
+    """Of the mean, by the percentile bootstrap."""
+    if len(values) < MIN_RUNS:
+        return math.nan, math.nan
+    rng = np.random.default_rng(0)
+    means = [rng.choice(values, len(values)).mean() for _ in range(RESAMPLES)]
+    low, high = np.quantile(means, [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2])
+    return float(low), float(high)

@@ -1,0 +1,211 @@
+"""Error against what was swept: lines over numbers, dots over categories, and dots alone where nothing was swept."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from numpy import ndarray
+
+from .axes import error_axis, legend_below, new_figure, swept_axis
+from .data import Drawn, Metric, Wanted, key_of
+from .labels import Places, name_of, plain, setting, text_of
+from .style import WIDTHS
+
+__all__ = ["BOUNDS", "error_figures", "headed", "method_handles"]
+
+PANELS = 4  # values of a second key in one figure; with more, each has its own
+BANDS = 5  # with more methods, intervals are bars: bands would hide each other
+BOUNDS: dict[str, tuple[str, dict[str, Any]]] = {  # columns of the summary beside the methods
+    "crb_m": ("Cramér–Rao bound", {"color": "black", "linestyle": "--", "linewidth": 1.0}),
+    "floor_m": ("Error floor", {"color": "black", "linestyle": ":", "linewidth": 1.2}),
+}
+
+
+def error_figures(study: Drawn, width: str, wanted: Wanted | None) -> Iterator[tuple[str, Figure]]:
+    """(file stem, figure) of the errors of a study; one figure, or one for each setting of its further keys."""
+    metrics = study.metrics(wanted)
+    if study.along is None:
+        yield "error", _dots([study], metrics, width)
+        return
+    column, at = study.along
+    parts = study.by([other for other in study.swept if other != column])
+    together = [parts] if len(parts) <= PANELS else [[part] for part in parts]
+    for panels in together:
+        stem = "error" if len(together) == 1 else f"error-{_slug(panels[0].where)}"
+        yield stem, _lines(panels, metrics, width, column, at) if at else _dots(panels, metrics, width, column)
+
+
+def headed(ax: Axes, part: Drawn) -> None:
+    """Say above a panel what is held fixed in it."""
+    if part.where:
+        ax.set_title(", ".join(setting(key_of(column), value) for column, value in part.where), loc="left")
+
+
+def method_handles(study: Drawn, joined: bool) -> dict[str, Artist]:
+    """What the legend shows for each method."""
+    done = set(study.table.loc[study.table[study.error].notna(), "method"])
+    return {
+        name if name in done else f"{name} (no run ok)": Line2D([], [], **(style.joined if joined else style.points))
+        for name, style in study.styles.items()
+    }
+
+
+def _slug(where: Sequence[tuple[str, Any]]) -> str:
+    text = "-".join(f"{key_of(column)}-{value}" for column, value in where)
+    return re.sub(r"[^A-Za-z0-9_.]+", "-", text).strip("-")
+
+
+# --- a numeric key: lines ------------------------------------------------------------------------------------------
+
+
+def _lines(parts: list[Drawn], metrics: list[Metric], width: str, column: str, at: Places) -> Figure:
+    """A row of panels a part, a column a metric; a single part in a narrow figure has its metrics below each other."""
+    stacked = len(parts) == 1 and width == "single"
+    heights = [1.6 - 0.1 * len(parts)] * len(parts)
+    if stacked:
+        heights = [0.85 if metric.share else 1.5 for metric in metrics]
+    figure = new_figure(WIDTHS[width], sum(heights) + 0.35, parts[0].title)
+    shape = (len(metrics), 1) if stacked else (len(parts), len(metrics))
+    grid = figure.subplots(*shape, squeeze=False, sharex=True, height_ratios=heights)
+    panels = grid.T if stacked else grid  # (part, metric)
+    for part, row in zip(parts, panels, strict=True):
+        headed(row[0], part)
+        for metric, ax in zip(metrics, row, strict=True):
+            _draw_lines(ax, part, metric, column, at)
+            ax.set_ylabel(metric.label)
+    for metric, axes in zip(metrics, panels.T, strict=True):
+        _scale(axes, "y", metric, parts)
+    for ax in grid.flat:
+        swept_axis(ax, at)
+    for ax in grid[-1]:
+        ax.set_xlabel(name_of(key_of(column)))
+    figure.align_ylabels()
+    _legend(figure, parts, metrics, joined=True)
+    return figure
+
+
+def _draw_lines(ax: Axes, part: Drawn, metric: Metric, column: str, at: Places) -> None:
+    for name, style in part.styles.items():
+        rows = part.of(name).sort_values(column)
+        x = rows[column].map(at.of).to_numpy(dtype=np.float64)
+        ax.plot(*_apart(x, _numbers(rows, metric, metric.column), at), **style.joined, label=plain(name), zorder=3)
+        if metric.share:
+            continue
+        low, high = _numbers(rows, metric, f"{metric.column}_low"), _numbers(rows, metric, f"{metric.column}_high")
+        bars = np.full(len(x), len(part.styles) > BANDS) | (x == at.beyond)
+        if not bars.all():
+            ax.fill_between(x[~bars], low[~bars], high[~bars], color=style.colour, alpha=0.16, linewidth=0, zorder=1)
+        ax.vlines(x[bars], low[bars], high[bars], color=style.colour, linewidth=0.7, alpha=0.6, zorder=2)
+    for name, (_, look) in BOUNDS.items():
+        rows = part.bound(name).sort_values(column) if metric.bounded else part.table.iloc[:0]
+        if len(rows):
+            x = rows[column].map(at.of).to_numpy(dtype=np.float64)
+            ax.plot(*_apart(x, rows[name].to_numpy(), at), **look, label=name, zorder=2.5)
+            ax.plot(x[x == at.beyond], rows[name].to_numpy()[x == at.beyond], color="black", marker="_")
+
+
+def _apart(x: ndarray, y: ndarray, at: Places) -> tuple[ndarray, ndarray]:
+    """The points with a gap before ∞, which no line joins to the numbers."""
+    beyond = np.flatnonzero(x == at.beyond)
+    return np.insert(x, beyond, math.nan), np.insert(y, beyond, math.nan)
+
+
+# --- categories, and no sweep: dots ----------------------------------------------------------------------------------
+
+
+def _dots(parts: list[Drawn], metrics: list[Metric], width: str, column: str | None = None) -> Figure:
+    """A row of panels a part, a column a metric, the methods below each other, in each of the categories."""
+    groups = [part.by([column] if column else []) for part in parts]
+    step = 0.17 if column is None else 0.11
+    heights = [sum(step * len(group.table) + (0.12 if column else 0.0) for group in row) + 0.2 for row in groups]
+    figure = new_figure(WIDTHS[width], sum(heights) + 0.45, parts[0].title)
+    ratios = [0.55 if metric.share else 1.0 for metric in metrics]
+    grid = figure.subplots(
+        len(parts), len(metrics), squeeze=False, sharey="row", sharex="col", height_ratios=heights, width_ratios=ratios
+    )
+    for part, row, axes in zip(parts, groups, grid, strict=True):
+        headed(axes[0], part)
+        _draw_rows(axes, row, metrics, column)
+    for metric, axes in zip(metrics, grid.T, strict=True):
+        _scale(axes, "x", metric, parts)
+        axes[-1].set_xlabel(metric.label)
+    for ax in grid[:, 0] if column else ():
+        ax.set_ylabel(name_of(key_of(column or "")))
+    if column or any(len(parts[0].bound(name)) for name in BOUNDS):
+        _legend(figure, parts, metrics, joined=False, methods=column is not None)
+    return figure
+
+
+def _draw_rows(axes: Sequence[Axes], groups: list[Drawn], metrics: list[Metric], column: str | None) -> None:
+    """The rows of one panel, from the top; a group is a category, or all there is, and then the best comes first."""
+    top, ticks, names = 0.0, [], []
+    for number, group in enumerate(groups):
+        table = group.table if column else group.table.sort_values(group.error, na_position="last")
+        places = dict(zip(table["method"], -top - np.arange(len(table)), strict=True))
+        span = (-top - len(table) + 0.3, -top + 0.7) if column is None else (-top - len(table) + 0.1, -top + 0.9)
+        for metric, ax in zip(metrics, axes, strict=True):
+            if number % 2:
+                ax.axhspan(*span, color="0.95", linewidth=0, zorder=0)
+            _draw_dots(ax, group, metric, places, span)
+        ticks += [sum(places.values()) / len(places)] if column else list(places.values())
+        names += [text_of(group.where[-1][1])] if column else [_with_failures(row) for row in table.to_dict("records")]
+        top += len(table) + 0.8
+    for ax in axes:
+        ax.set_ylim(span[0], 0.9 if column else 0.7)
+        ax.grid(visible=column is None, axis="y")
+    axes[0].set_yticks(ticks, names)
+    for ax in axes:
+        ax.tick_params(axis="y", length=0)
+
+
+def _draw_dots(ax: Axes, group: Drawn, metric: Metric, places: dict[str, float], span: tuple[float, float]) -> None:
+    for name, y in places.items():
+        style, rows = group.styles[name], group.of(name)
+        ax.plot(_numbers(rows, metric, metric.column), [y], **style.points, label=plain(name), zorder=3)
+        if not metric.share:
+            low, high = _numbers(rows, metric, f"{metric.column}_low"), _numbers(rows, metric, f"{metric.column}_high")
+            ax.hlines([y], low, high, color=style.colour, linewidth=1.0, zorder=2)
+    for name, (_, look) in BOUNDS.items():
+        for value in group.bound(name)[name] if metric.bounded and name in group.table else ():
+            ax.plot([value, value], span, **look, label=name, zorder=1)
+
+
+def _with_failures(row: dict[Any, Any]) -> str:
+    failed = f" ({row['failed']} of {row['runs']} failed)" if row["failed"] else ""
+    return plain(f"{row['method']}{failed}")
+
+
+# --- both ----------------------------------------------------------------------------------------------------------
+
+
+def _numbers(rows: pd.DataFrame, metric: Metric, column: str) -> ndarray:
+    return (100.0 if metric.share else 1.0) * rows[column].to_numpy(dtype=np.float64)
+
+
+def _scale(axes: Sequence[Axes], which: str, metric: Metric, parts: list[Drawn]) -> None:
+    """One scale for a metric's panels, wide enough for all that is drawn in any of them."""
+    if metric.share:
+        for ax in axes:
+            getattr(ax, f"set_{which}lim")(-4, 104)
+            getattr(ax, f"set_{which}ticks")([0, 50, 100])
+        return
+    columns = [metric.column, f"{metric.column}_low", f"{metric.column}_high", *(BOUNDS if metric.bounded else ())]
+    error_axis(axes, which, [v for part in parts for name in columns if name in part.table for v in part.table[name]])
+
+
+def _legend(figure: Figure, parts: list[Drawn], metrics: list[Metric], *, joined: bool, methods: bool = True) -> None:
+    handles = method_handles(parts[0], joined) if methods else {}
+    for name, (text, look) in BOUNDS.items():
+        if any(metric.bounded for metric in metrics) and any(len(part.bound(name)) for part in parts):
+            handles[text] = Line2D([], [], **look)
+    if handles:
+        legend_below(figure, list(handles.values()), list(handles))

@@ -1,0 +1,110 @@
+"""What axes say: a swept key's name and unit, its values as text, and where they stand on an axis."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, final
+
+import numpy as np
+
+__all__ = ["Places", "name_of", "places", "plain", "setting", "text_of"]
+
+_NAMES = {  # swept keys whose name says less than the symbol that goes with it
+    "snr_db": "SNR [dB]",
+    "rician_k": "Rician factor κ",
+    "sources": "Number of sources K",
+    "snapshots": "Number of snapshots T",
+    "array.elements": "Number of elements M",
+    "wavelength_m": "Wavelength λ [m]",
+    "nlos": "Scattering",
+    "nlos.kind": "Scattering",
+    "dimension": "Dimension n",
+}
+_UNITS = {"db": "dB", "m": "m", "deg": "°", "rad": "rad", "s": "s", "hz": "Hz", "wavelengths": "λ"}
+_LINEAR_UNITS = ("[dB]", "[°]", "[rad]")
+
+
+def plain(text: str) -> str:
+    """Text that matplotlib is to take as it stands: no mathematics between dollars, no label hidden by its ``_``."""
+    text = text.replace("$", r"\$")
+    return f"\N{THIN SPACE}{text}" if text.startswith("_") else text
+
+
+def name_of(key: str) -> str:
+    """A swept key as an axis label: ``array.spacing_wavelengths`` is ``Array spacing [λ]``."""
+    if key in _NAMES:
+        return _NAMES[key]
+    words = key.replace(".", "_").split("_")
+    unit = f" [{_UNITS[words.pop()]}]" if len(words) > 1 and words[-1] in _UNITS else ""
+    name = " ".join(words)
+    return plain(name[:1].upper() + name[1:] + unit)
+
+
+def setting(key: str, value: Any) -> str:
+    """One value of a swept key, as a panel's heading: ``SNR = 20 dB``."""
+    name, _, unit = name_of(key).partition(" [")
+    return f"{name} = {text_of(value)}{' ' + unit.rstrip(']') if unit else ''}"
+
+
+def text_of(value: Any) -> str:
+    """A cell of a swept column as text: ∞, ``0, 20, 40`` for a list, its kind and options for a table."""
+    if isinstance(value, str) and value[:1] in "[{":
+        return _text(json.loads(value))
+    return _text(value)
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, bool | np.bool_):
+        return "yes" if value else "no"
+    if isinstance(value, int | float | np.number):
+        return ("∞" if value > 0 else "−∞") if math.isinf(value) else f"{value:g}".replace("-", "−")
+    if isinstance(value, list):
+        return ", ".join(map(_text, value))
+    if isinstance(value, dict):
+        options = ", ".join(f"{key} = {_text(option)}" for key, option in value.items() if key != "kind")
+        kind = str(value.get("kind", ""))
+        return plain(f"{kind} ({options})" if kind and options else kind or options)
+    return plain(str(value))
+
+
+@final
+@dataclass(frozen=True)
+class Places:
+    """Where the values of a numeric key stand on its axis; ∞ stands one step beyond the last finite one."""
+
+    of: dict[float, float]
+    log: bool
+
+    @property
+    def beyond(self) -> float | None:
+        """Where ∞ stands, if it is among the values."""
+        return self.of.get(math.inf)
+
+
+def places(key: str, values: Sequence[Any]) -> Places | None:
+    """The places of a key's values; None where they are categories: text, lists, or but one finite number."""
+    if not all(isinstance(v, int | float | np.number) and not isinstance(v, bool | np.bool_) for v in values):
+        return None
+    numbers = sorted({float(value) for value in values})
+    finite = [number for number in numbers if math.isfinite(number)]
+    if len(finite) < 2 or -math.inf in numbers:
+        return None
+    log = not name_of(key).endswith(_LINEAR_UNITS) and finite[0] > 0 and _geometric(finite)
+    of = {number: number for number in finite}
+    if math.inf in numbers:
+        last, before = finite[-1], finite[-2]
+        of[math.inf] = last * min(last / before, 10.0) if log else 2 * last - before
+    return Places(of, log)
+
+
+def _geometric(numbers: list[float]) -> bool:
+    """Whether they span a decade, in steps that are more even as ratios than as differences."""
+    return numbers[-1] >= 10 * numbers[0] and _unevenness(np.log(numbers)) <= _unevenness(np.array(numbers))
+
+
+def _unevenness(numbers: np.ndarray) -> float:
+    steps = np.diff(numbers)
+    return float(steps.std() / steps.mean())
