@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import textwrap
 from collections.abc import Iterable, Sequence
-from typing import Any
+from typing import Any, Literal, cast
 
 import numpy as np
 from matplotlib.artist import Artist
@@ -19,7 +19,7 @@ from .labels import Places, plain, text_of
 
 __all__ = ["error_axis", "legend_below", "new_figure", "swept_axis"]
 
-_MOST = 6  # labelled decades on one axis
+_PER_INCH = {"x": 2.4, "y": 3.5}  # labels that fit
 _LEAST = 1.6  # an axis spans at least this ratio, so that noise does not look like a difference
 _MARGIN = 0.05
 
@@ -37,7 +37,9 @@ def new_figure(width: float, height: float, title: str) -> Figure:
 def legend_below(figure: Figure, handles: Sequence[Artist], names: Sequence[str]) -> None:
     """One legend for all panels, below them, in as many columns as fit; the figure grows by its height."""
     texts = list(map(plain, names))
-    for columns in range(min(len(texts), 4), 0, -1):
+    for wanted in range(min(len(texts), 4), 0, -1):
+        rows = math.ceil(len(texts) / wanted)
+        columns = math.ceil(len(texts) / rows)
         legend = figure.legend(handles, texts, loc="outside lower center", ncols=columns)
         figure.draw_without_rendering()
         if columns == 1 or legend.get_window_extent().width <= figure.bbox.width:
@@ -46,8 +48,8 @@ def legend_below(figure: Figure, handles: Sequence[Artist], names: Sequence[str]
     figure.set_figheight(figure.get_figheight() + legend.get_window_extent().height / figure.dpi)
 
 
-def error_axis(axes: Iterable[Axes], which: str, values: Iterable[float]) -> None:
-    """Make ``which`` ("x" or "y") of these axes logarithmic over the values; with zeros among them, linear near 0."""
+def error_axis(axes: Iterable[Axes], which: Literal["x", "y"], values: Iterable[float]) -> None:
+    """Make ``which`` of these axes logarithmic over the values; with zeros among them, linear near 0."""
     numbers = np.array([value for value in values if math.isfinite(value)], dtype=np.float64)
     positive = numbers[numbers > 0]
     if not len(positive):
@@ -56,14 +58,15 @@ def error_axis(axes: Iterable[Axes], which: str, values: Iterable[float]) -> Non
     stretch = max(_LEAST / (high / low), 1.0) ** 0.5
     margin = (high / low * stretch**2) ** _MARGIN
     low, high = low / stretch / margin, high * stretch * margin
-    zeros = len(positive) < len(numbers)
+    zeros = [0.0] if len(positive) < len(numbers) else []
     for ax in axes:
+        scale, limits = (ax.set_xscale, ax.set_xlim) if which == "x" else (ax.set_yscale, ax.set_ylim)
         if zeros:
-            getattr(ax, f"set_{which}scale")("symlog", linthresh=low, linscale=0.5)
+            scale("symlog", linthresh=low, linscale=0.5)
         else:
-            getattr(ax, f"set_{which}scale")("log")
-        getattr(ax, f"set_{which}lim")((-0.2 * low if zeros else low), high)
-        _log_ticks(getattr(ax, f"{which}axis"), low, high, [0.0] if zeros else [])
+            scale("log")
+        limits(-0.2 * low if zeros else low, high)
+        _log_ticks(ax, which, low, high, zeros, ["0"] * len(zeros))
 
 
 def swept_axis(ax: Axes, at: Places) -> None:
@@ -82,7 +85,7 @@ def swept_axis(ax: Axes, at: Places) -> None:
     if width > 0.075:  # room for a label each
         _ticks(ax.xaxis, [*finite, *extra], [*map(text_of, finite), *["∞"] * len(extra)])
     elif at.log:
-        _log_ticks(ax.xaxis, finite[0] * 0.99, finite[-1] * 1.01, extra, ["∞"] * len(extra))
+        _log_ticks(ax, "x", finite[0] * 0.99, finite[-1] * 1.01, extra, ["∞"] * len(extra))
     else:
         integers = all(place == int(place) for place in finite)
         ticks = MaxNLocator(nbins=7, integer=integers, steps=[1, 2, 5, 10]).tick_values(finite[0], finite[-1])
@@ -97,19 +100,25 @@ def _ticks(axis: Axis, ticks: Sequence[float], texts: Sequence[str], minor: Sequ
     axis.set_minor_formatter(NullFormatter())
 
 
-def _log_ticks(axis: Axis, low: float, high: float, extra: list[float], names: Sequence[str] = ("0",)) -> None:
-    """Decades where there are three or more, else 1, 2 and 5 times them, else whatever is round."""
+def _log_ticks(
+    ax: Axes, which: Literal["x", "y"], low: float, high: float, extra: Sequence[float], names: Sequence[str]
+) -> None:
+    """As many labels as fit: decades where there are three, else finer steps within them; and the ``extra`` ones."""
+    figure = cast(Figure, ax.get_figure())
+    rows, columns = ax.get_subplotspec().get_gridspec().get_geometry()  # type: ignore[union-attr]
+    inches = 0.75 * figure.get_figwidth() / columns if which == "x" else 0.8 * figure.get_figheight() / rows
+    most = max(int(inches * _PER_INCH[which]), 3)
     first, last = math.floor(math.log10(low)), math.ceil(math.log10(high))
-    step = max(math.ceil((last - first) / _MOST), 1)
     decades = 10.0 ** np.arange(first, last + 1)
-    minor = np.outer(decades, np.arange(2, 10)).ravel() if step == 1 else decades
-    ticks = _within(decades[::step], low, high)
-    if len(ticks) < 3:
-        steps = [1, 2, 5] if high / low > 3 else [1, 1.5, 2, 3, 4, 5, 6, 8]
-        ticks = _within(np.outer(decades, steps).ravel(), low, high)
-    if len(ticks) < 2:
-        ticks = _within(MaxNLocator(nbins=4).tick_values(low, high), low, high)
-    _ticks(axis, [*extra, *ticks], [*names[: len(extra)], *map(_decimal, ticks)], _within(minor, low, high))
+    steps = [decades[::step] for step in range(1, len(decades))]
+    finer = [np.outer(decades, factors).ravel() for factors in ((1, 1.5, 2, 3, 4, 5, 6, 8), (1, 2, 5), (1, 3))]
+    round_ones = MaxNLocator(nbins=most).tick_values(low, high)
+    choices = steps + finer if len(_within(decades, low, high)) > 2 else [*finer, decades, round_ones]
+    found = (_within(choice, low, high) for choice in choices)
+    ticks = next((ticks for ticks in found if 2 <= len(ticks) <= most), np.array([low, high]))
+    minor = np.outer(decades, np.arange(1, 10)).ravel() if len(decades) <= 8 else decades
+    axis = ax.xaxis if which == "x" else ax.yaxis
+    _ticks(axis, [*extra, *ticks], [*names, *map(_decimal, ticks)], _within(minor, low, high))
 
 
 def _within(ticks: Any, low: float, high: float) -> ndarray:

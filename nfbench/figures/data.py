@@ -88,10 +88,10 @@ class Drawn:
         """RMSE, median, and how many are far off where any is; or only the one wanted."""
         metres = self.error == "rmse_m"
         rmse = Metric(self.error, "RMSE [m]" if metres else f"RMS {self.error}", bounded=metres)
-        median = Metric(_median(self.error), "Median error [m]" if metres else f"Median {self.error}")
+        median = Metric(_median(self.error), "Median [m]" if metres else f"Median {self.error}")
         if wanted:
             return [rmse if wanted == "rmse" else median]
-        far = Metric("outlier_rate", f"Off by > {self.outlier_m:g} m [%]", share=True)
+        far = Metric("outlier_rate", f"Off by\n> {self.outlier_m:g} m [%]", share=True)
         return [rmse, median, *([far] if (self.table["outlier_rate"] > 0).any() else [])]
 
     def bound(self, column: str) -> pd.DataFrame:

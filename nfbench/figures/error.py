@@ -22,7 +22,7 @@ from .style import WIDTHS
 
 __all__ = ["BOUNDS", "error_figures", "headed", "method_handles"]
 
-PANELS = 4  # values of a second key in one figure; with more, each has its own
+PANELS = {"single": 3, "double": 4}  # values of a second key in one figure; with more, each has its own
 BANDS = 5  # with more methods, intervals are bars: bands would hide each other
 BOUNDS: dict[str, tuple[str, dict[str, Any]]] = {  # columns of the summary beside the methods
     "crb_m": ("Cramér–Rao bound", {"color": "black", "linestyle": "--", "linewidth": 1.0}),
@@ -38,7 +38,7 @@ def error_figures(study: Drawn, width: str, wanted: Wanted | None) -> Iterator[t
         return
     column, at = study.along
     parts = study.by([other for other in study.swept if other != column])
-    together = [parts] if len(parts) <= PANELS else [[part] for part in parts]
+    together = [parts] if len(parts) <= PANELS[width] else [[part] for part in parts]
     for panels in together:
         stem = "error" if len(together) == 1 else f"error-{_slug(panels[0].where)}"
         yield stem, _lines(panels, metrics, width, column, at) if at else _dots(panels, metrics, width, column)
@@ -68,20 +68,19 @@ def _slug(where: Sequence[tuple[str, Any]]) -> str:
 
 
 def _lines(parts: list[Drawn], metrics: list[Metric], width: str, column: str, at: Places) -> Figure:
-    """A row of panels a part, a column a metric; a single part in a narrow figure has its metrics below each other."""
-    stacked = len(parts) == 1 and width == "single"
-    heights = [1.6 - 0.1 * len(parts)] * len(parts)
-    if stacked:
-        heights = [0.85 if metric.share else 1.5 for metric in metrics]
+    """A column of panels a part, a row a metric; a single part in a wide figure has its metrics side by side."""
+    beside = len(parts) == 1 and width == "double"
+    heights = [1.7] if beside else [0.8 if metric.share else 1.5 for metric in metrics]
     figure = new_figure(WIDTHS[width], sum(heights) + 0.35, parts[0].title)
-    shape = (len(metrics), 1) if stacked else (len(parts), len(metrics))
-    grid = figure.subplots(*shape, squeeze=False, sharex=True, height_ratios=heights)
-    panels = grid.T if stacked else grid  # (part, metric)
-    for part, row in zip(parts, panels, strict=True):
-        headed(row[0], part)
-        for metric, ax in zip(metrics, row, strict=True):
+    shape = (1, len(metrics)) if beside else (len(metrics), len(parts))
+    grid = figure.subplots(*shape, squeeze=False, sharex=True, sharey=False if beside else "row", height_ratios=heights)
+    panels = grid if beside else grid.T  # (part, metric)
+    for part, column_of_panels in zip(parts, panels, strict=True):
+        headed(column_of_panels[0], part)
+        for metric, ax in zip(metrics, column_of_panels, strict=True):
             _draw_lines(ax, part, metric, column, at)
-            ax.set_ylabel(metric.label)
+    for metric, ax in zip(metrics, panels[0], strict=True):
+        ax.set_ylabel(metric.label)
     for metric, axes in zip(metrics, panels.T, strict=True):
         _scale(axes, "y", metric, parts)
     for ax in grid.flat:
@@ -194,9 +193,11 @@ def _numbers(rows: pd.DataFrame, metric: Metric, column: str) -> ndarray:
 def _scale(axes: Sequence[Axes], which: str, metric: Metric, parts: list[Drawn]) -> None:
     """One scale for a metric's panels, wide enough for all that is drawn in any of them."""
     if metric.share:
+        worst = 100 * max(part.table[metric.column].max() for part in parts)
+        top = next((top for top in (4, 10, 20, 50) if top >= worst), 100)
         for ax in axes:
-            getattr(ax, f"set_{which}lim")(-4, 104)
-            getattr(ax, f"set_{which}ticks")([0, 50, 100])
+            getattr(ax, f"set_{which}lim")(-0.06 * top, 1.06 * top)
+            getattr(ax, f"set_{which}ticks")([0, top // 2, top])
         return
     columns = [metric.column, f"{metric.column}_low", f"{metric.column}_high", *(BOUNDS if metric.bounded else ())]
     error_axis(axes, which, [v for part in parts for name in columns if name in part.table for v in part.table[name]])

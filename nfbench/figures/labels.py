@@ -44,9 +44,10 @@ def name_of(key: str) -> str:
 
 
 def setting(key: str, value: Any) -> str:
-    """One value of a swept key, as a panel's heading: ``SNR = 20 dB``."""
+    """One value of a swept key, as a panel's heading: ``SNR = 20 dB``, and by its symbol if it has one: ``κ = ∞``."""
     name, _, unit = name_of(key).partition(" [")
-    return f"{name} = {text_of(value)}{' ' + unit.rstrip(']') if unit else ''}"
+    symbol = name.rpartition(" ")[2]
+    return f"{symbol if len(symbol) == 1 else name} = {text_of(value)}{' ' + unit.rstrip(']') if unit else ''}"
 
 
 def text_of(value: Any) -> str:

@@ -17,7 +17,7 @@ GREY = "0.45"
 
 # Okabe & Ito 2008, without black, which is the bounds', and yellow, which fades on paper
 _COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#6B4C9A")
-_MARKERS = ("o", "s", "^", "D", "v", "P", "X", "<", "p", ">", "h")
+_MARKERS = ("o", "s", "^", "D", "v", "<", "p", ">", "P", "h", "X")
 _LINES: tuple[Any, ...] = ("-", (0, (5, 1.5)), (0, (6, 1.5, 1.2, 1.5)), (0, (2.5, 1.2)))
 
 _SETTINGS = {
@@ -67,7 +67,7 @@ class Style:
     @property
     def points(self) -> dict[str, Any]:
         """Keywords for markers alone."""
-        edge = {"markeredgecolor": "white", "markeredgewidth": 0.4}
+        edge = {"markeredgecolor": "white", "markeredgewidth": 0.3}
         return {"color": self.colour, "marker": self.marker, "linestyle": "", **edge}
 
     @property
