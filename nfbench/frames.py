@@ -9,7 +9,7 @@ from typing import Any
 
 import pandas as pd
 
-__all__ = ["RunsFrame"]
+__all__ = ["RunsFrame", "cell"]
 
 
 class RunsFrame:
@@ -54,7 +54,7 @@ class RunsFrame:
 
         table: dict[str, Any] = {"run_id": columns["run_id"], "study": [self._study] * len(rows)}
         table |= {name: columns[name] for name in ("scenario", "formulation", "solver", "repetition")}
-        table |= {f"scenario.{key}": [_cell(settings[text].get(key)) for text in columns["swept"]] for key in swept}
+        table |= {f"scenario.{key}": [cell(settings[text].get(key)) for text in columns["swept"]] for key in swept}
         table |= {name: columns[name] for name in ("status", "message")}
         table |= {"rmse_m": score("rmse_m")}
         table |= {name: columns[name] for name in ("objective", "evaluations", "runtime_s", "cpu_s", "instance_seed")}
@@ -63,7 +63,7 @@ class RunsFrame:
         return pd.DataFrame(table)
 
 
-def _cell(value: Any) -> Any:
+def cell(value: Any) -> Any:
     """A swept value as one cell: numbers and text as they are, lists and tables as JSON."""
     return json.dumps(value) if isinstance(value, list | dict) else value
 

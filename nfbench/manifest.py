@@ -21,7 +21,7 @@ from .registry import Registry
 from .scenario import Scenario
 from .study import Choice, Method, Point, Study, digest
 
-__all__ = ["load_study"]
+__all__ = ["load_scenarios", "load_study"]
 
 Table = dict[str, Any]
 
@@ -94,19 +94,49 @@ def load_study(path: str | Path, plugins: Iterable[str | Path] = ()) -> Study:
     Raises ManifestError, which lists every problem as ``path: message``.
     """
     path = Path(path)
-    try:
-        text = path.read_text(encoding="utf-8")
-        table = tomllib.loads(text)
-    except (OSError, UnicodeDecodeError) as error:
-        raise ManifestError(str(path), [f"cannot be read: {getattr(error, 'strerror', None) or error}"]) from error
-    except tomllib.TOMLDecodeError as error:
-        raise ManifestError(str(path), [f"is not valid TOML: {error}"]) from error
+    table, text = _read(path)
     problems = Problems()
     with relative_to(path.parent):
         study = _study(table, text, path.parent, tuple(plugins), problems)
     if problems.texts or study is None:
         raise ManifestError(str(path), problems.texts)
     return study
+
+
+def load_scenarios(path: str | Path, plugins: Iterable[str | Path] = ()) -> list[tuple[Table, Scenario]]:
+    """The swept values of each point of a study, and the scenario there; what else the manifest says is not looked at.
+
+    Of the plugin files that it names, those that are not there are left out: it may be a copy, far from them. Raises
+    ManifestError where a scenario cannot be made.
+    """
+    path = Path(path)
+    table, _ = _read(path)
+    problems = Problems()
+    with relative_to(path.parent):
+        manifest = _top_level(table, problems)
+        named = [path.parent / file for file in manifest.plugins]
+        chooser = Chooser(_registry([*filter(Path.exists, named), *plugins], problems), problems)
+        points, _ = _points(manifest, chooser, problems)
+        if problems.texts:
+            raise ManifestError(str(path), problems.texts)
+        return [(p.swept, _scenario(p.scenario, chooser.registry)) for p in points]
+
+
+def _scenario(choice: Choice, registry: Registry) -> Scenario:
+    if choice.broken:
+        raise PluginError(choice.broken)
+    return cast(Scenario, registry.make("scenario", choice.kind, choice.options))
+
+
+def _read(path: Path) -> tuple[Table, str]:
+    """A manifest's tables, and its text."""
+    try:
+        text = path.read_text(encoding="utf-8")
+        return tomllib.loads(text), text
+    except (OSError, UnicodeDecodeError) as error:
+        raise ManifestError(str(path), [f"cannot be read: {getattr(error, 'strerror', None) or error}"]) from error
+    except tomllib.TOMLDecodeError as error:
+        raise ManifestError(str(path), [f"is not valid TOML: {error}"]) from error
 
 
 def _study(table: Table, text: str, folder: Path, extra: tuple[str | Path, ...], problems: Problems) -> Study | None:

@@ -25,6 +25,14 @@ class Instance(ABC):
         estimate is empty: to have found nothing is an answer.
         """
 
+    def positions(self, estimate: ndarray) -> tuple[ndarray, ndarray] | None:
+        """Where the sources are and where they were estimated, for figures: two (K, 3) in Cartesian metres.
+
+        Row k of the second is the estimate assigned to source k, NaN where it has none. None, unless overridden: there
+        are no positions to show.
+        """
+        return None
+
 
 @dataclass(frozen=True)
 class Scenario(Options, ABC):

@@ -137,6 +137,13 @@ class Store:
             for run_id, blob in self._db.execute(f"SELECT run_id, traces {_JOINED}"):
                 yield run_id, _unpacked(blob)
 
+    def estimates(self) -> Iterator[tuple[str, Any]]:
+        """(run_id, estimate as nested lists) of every finished run of the plan that has one, in its order."""
+        with self._telling():
+            for run_id, estimate in self._db.execute(f"SELECT run_id, estimate {_JOINED}"):
+                if (found := json.loads(estimate)) is not None:
+                    yield run_id, found
+
     # --- writing -------------------------------------------------------------------------------------------------
 
     def begin(self, study: Study, shard: tuple[int, int] | None = None) -> bool:

@@ -79,6 +79,14 @@ class NearFieldInstance(Instance):
         scores |= {f"error_{k}_m": float(error) for k, error in enumerate(errors, start=1)}
         return scores | self.bounds()
 
+    def positions(self, estimate: Float[ndarray, "q d"]) -> tuple[Float[ndarray, "k 3"], Float[ndarray, "k 3"]]:
+        """The true positions and, row by row, the estimates assigned to them as for the score [m]."""
+        truth, found = cartesian(self.theta), cartesian(np.asarray(estimate, dtype=np.float64).reshape(-1, self.theta.shape[1]))
+        source, guess = linear_sum_assignment(np.sum((truth[:, None] - found) ** 2, axis=-1))
+        matched = np.full_like(truth, math.nan)
+        matched[source] = found[guess]
+        return truth, matched
+
     def bounds(self) -> dict[str, float]:
         """What errors [m] of this scene are to be compared with, by column name.
 

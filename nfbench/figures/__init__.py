@@ -8,9 +8,10 @@ from __future__ import annotations
 import contextlib
 import io
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, final
 
 from matplotlib.figure import Figure
 
@@ -18,40 +19,82 @@ from ..errors import NfbenchError
 from ..results import Results
 from .data import Wanted, drawn
 from .error import error_figures
+from .positions import few_enough, position_figures
 from .runtime import runtime_figure
-from .style import WIDTHS, styled
+from .style import styled
 
-__all__ = ["FORMATS", "WIDTHS", "figures", "write_figures"]
+__all__ = ["FORMATS", "Drawing", "figures", "styled", "write_figures"]
 
 FORMATS: dict[str, dict[str, Any]] = {  # metadata that would differ from one day or version to the next, left out
     "svg": {"Date": None, "Creator": "nfbench"},
-    "pdf": {"CreationDate": None, "Creator": "nfbench", "Producer": None},
+    "pdf": {"CreationDate": None, "Creator": "nfbench"},
     "png": {"Software": None},
 }
 
 
-def figures(
-    results: Results, *, width: str = "single", metric: Wanted | None = None, title: bool = True
-) -> Iterator[tuple[str, Figure]]:
-    """(file stem, figure) of every figure that this study has.
+@final
+@dataclass(frozen=True)
+class Drawing:
+    """How figures are drawn.
 
     width: "single" or "double", of an IEEE column or page. metric: the error to show (default: RMSE and median).
-    title: whether the study's title stands above. Raises StoreError without a study, NfbenchError where no run has an
-    estimate yet. Save them within ``styled``, or by ``write_figures``.
+    title: whether the study's title stands above. positions: whether true and estimated positions are drawn (default:
+    if the study is small). traces: whether convergence is. manifest: where the scenario is read from to draw
+    positions (default: the copy in the study's folder). plugins: files it needs.
     """
-    study = drawn(results, title)
-    yield from error_figures(study, width, metric)
-    yield "runtime", runtime_figure(study, width, metric)
+
+    width: Literal["single", "double"] = "single"
+    metric: Wanted | None = None
+    title: bool = True
+    positions: bool | None = None
+    traces: bool = False
+    manifest: Path | None = None
+    plugins: tuple[Path, ...] = ()
 
 
-def write_figures(results: Results, out: Path, formats: Iterable[str] = ("svg", "pdf"), **options: Any) -> list[Path]:
-    """Write every figure to ``out`` in these formats; the same results give the same bytes. Returns the paths.
+def figures(
+    results: Results, how: Drawing | None = None, tell: Callable[[str], object] = lambda _: None
+) -> Iterator[tuple[str, Figure]]:
+    """(file stem, figure) of every figure of a study. ``tell`` hears in a sentence what they leave out.
 
-    options: of ``figures``. Raises NfbenchError where a file cannot be written.
+    Raises StoreError without a study, NfbenchError where no run has an estimate yet, or where positions were asked
+    for and cannot be drawn. Draw and save within ``styled``.
+    """
+    how = how or Drawing()
+    study = drawn(results, how.title)
+    left = results.counts.get("open", 0)
+    if left:
+        tell(f"unfinished: {left} of {left + len(study.runs)} runs are still to do; the figures show the others")
+    yield from error_figures(study, how.width, how.metric)
+    yield "runtime", runtime_figure(study, how.width, how.metric)
+    if how.positions or (how.positions is None and few_enough(study)):
+        manifest = how.manifest or results.folder / "manifest.toml"
+        try:
+            placed = list(position_figures(study, results, how.width, manifest, how.plugins))
+        except NfbenchError as error:
+            if how.positions:
+                raise
+            tell(f"positions are not drawn: {error}")
+            return
+        if how.positions and not placed:
+            raise NfbenchError(f"{results.folder}: no positions to draw: the scenario's instances have none")
+        yield from placed
+
+
+def write_figures(
+    results: Results,
+    out: Path,
+    formats: Iterable[str] = ("svg", "pdf"),
+    how: Drawing | None = None,
+    tell: Callable[[str], object] = lambda _: None,
+) -> list[Path]:
+    """Write every figure to ``out`` in each of these formats and return the paths; equal results give equal bytes.
+
+    Raises what ``figures`` does, and NfbenchError where a file cannot be written.
     """
     paths = []
     with styled():
-        for stem, figure in figures(results, **options):
+        for stem, figure in figures(results, how, tell):
             for kind in formats:
                 drawing = io.BytesIO()
                 figure.savefig(drawing, format=kind, metadata=FORMATS[kind])

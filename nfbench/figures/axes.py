@@ -24,10 +24,12 @@ _LEAST = 1.6  # an axis spans at least this ratio, so that noise does not look l
 _MARGIN = 0.05
 
 
-def new_figure(width: float, height: float, title: str) -> Figure:
+def new_figure(
+    width: float, height: float, title: str, layout: Literal["constrained", "compressed"] = "constrained"
+) -> Figure:
     """An empty figure of that size [in], its title wrapped to the width."""
     lines = textwrap.wrap(title, width=max(int(width * 17), 20))
-    figure = Figure(figsize=(width, height + 0.14 * len(lines)), layout="constrained")
+    figure = Figure(figsize=(width, height + 0.14 * len(lines)), layout=layout)
     figure.get_layout_engine().set(w_pad=0.03, h_pad=0.03)  # type: ignore[union-attr]
     if lines:
         figure.suptitle(plain("\n".join(lines)))

@@ -20,7 +20,7 @@ from .data import Drawn, Metric, Wanted, key_of
 from .labels import Places, name_of, plain, setting, text_of
 from .style import WIDTHS
 
-__all__ = ["BOUNDS", "error_figures", "headed", "method_handles"]
+__all__ = ["BOUNDS", "error_figures", "headed", "method_handles", "named", "slug"]
 
 PANELS = {"single": 3, "double": 4}  # values of a second key in one figure; with more, each has its own
 BANDS = 5  # with more methods, intervals are bars: bands would hide each other
@@ -40,14 +40,25 @@ def error_figures(study: Drawn, width: str, wanted: Wanted | None) -> Iterator[t
     parts = study.by([other for other in study.swept if other != column])
     together = [parts] if len(parts) <= PANELS[width] else [[part] for part in parts]
     for panels in together:
-        stem = "error" if len(together) == 1 else f"error-{_slug(panels[0].where)}"
+        stem = "error" if len(together) == 1 else f"error-{slug(panels[0])}"
         yield stem, _lines(panels, metrics, width, column, at) if at else _dots(panels, metrics, width, column)
 
 
 def headed(ax: Axes, part: Drawn) -> None:
     """Say above a panel what is held fixed in it."""
     if part.where:
-        ax.set_title(", ".join(setting(key_of(column), value) for column, value in part.where), loc="left")
+        ax.set_title(named(part), loc="left")
+
+
+def named(part: Drawn) -> str:
+    """What is held fixed, in words."""
+    return ", ".join(setting(key_of(column), value) for column, value in part.where)
+
+
+def slug(part: Drawn) -> str:
+    """What is held fixed, as a part of a file's name."""
+    text = "-".join(f"{key_of(column)}-{value}" for column, value in part.where)
+    return re.sub(r"[^A-Za-z0-9_.]+", "-", text).strip("-")
 
 
 def method_handles(study: Drawn, joined: bool) -> dict[str, Artist]:
@@ -57,11 +68,6 @@ def method_handles(study: Drawn, joined: bool) -> dict[str, Artist]:
         name if name in done else f"{name} (no run ok)": Line2D([], [], **(style.joined if joined else style.points))
         for name, style in study.styles.items()
     }
-
-
-def _slug(where: Sequence[tuple[str, Any]]) -> str:
-    text = "-".join(f"{key_of(column)}-{value}" for column, value in where)
-    return re.sub(r"[^A-Za-z0-9_.]+", "-", text).strip("-")
 
 
 # --- a numeric key: lines ------------------------------------------------------------------------------------------

@@ -1,0 +1,162 @@
+"""Where sources were and where each method put them, source by source."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, final
+
+import numpy as np
+from jaxtyping import Float
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from numpy import ndarray
+
+from ..budget import Status
+from ..errors import NfbenchError
+from ..frames import cell
+from ..manifest import load_scenarios
+from ..results import Results
+from ..scenario import Scenario
+from ..store import Store
+from .axes import legend_below, new_figure
+from .data import Drawn, key_of
+from .error import method_handles, named, slug
+from .labels import plain
+from .style import GREY, WIDTHS
+
+__all__ = ["few_enough", "position_figures"]
+
+REPETITIONS = 10  # shown; more would hide each other
+FEW = {"repetitions": 12, "points": 4, "methods": 6}  # with no more than that, positions are drawn unasked
+COLUMNS = {"single": 3, "double": 6}
+WIDEST = 2.2  # panel [in]
+AXES = "xyz"
+ORIGIN: dict[str, Any] = {"color": GREY, "marker": "+", "markersize": 5.0, "markeredgewidth": 0.8, "linestyle": ""}
+TRUTH: dict[str, Any] = {"color": "black", "marker": "*", "markersize": 6.5, "markeredgewidth": 0.0, "linestyle": ""}
+
+
+@final
+@dataclass(frozen=True)
+class _Places:
+    """Of one scenario point: ``truth`` (R, K, 3) and, by method, the estimates (R, K, 3), NaN without one [m]."""
+
+    truth: Float[ndarray, "r k 3"]
+    found: dict[str, Float[ndarray, "r k 3"]]
+
+
+def few_enough(study: Drawn) -> bool:
+    """Whether the study is so small that its positions are drawn without being asked for."""
+    return (
+        study.runs["repetition"].max() < FEW["repetitions"]
+        and len(study.by(study.swept)) <= FEW["points"]
+        and len(study.methods) <= FEW["methods"]
+    )
+
+
+def position_figures(
+    study: Drawn, results: Results, width: str, manifest: Path, plugins: tuple[Path, ...]
+) -> Iterator[tuple[str, Figure]]:
+    """(file stem, figure) of each scenario point, of the first ten repetitions; none where instances have no places.
+
+    Instances are drawn again from the manifest's scenario and the stored seeds. Raises NfbenchError where that is not
+    possible, or gives other instances than the runs had.
+    """
+    scenarios = {_key(swept.items()): scenario for swept, scenario in load_scenarios(manifest, plugins)}
+    with Store(results.folder) as store:
+        estimates = dict(store.estimates())
+    for part in study.by(study.swept):
+        scenario = scenarios.get(_key((key_of(column), value) for column, value in part.where))
+        if scenario is None:
+            raise NfbenchError(f"{manifest}: expected the scenario of these runs, found none with {named(part)}")
+        places = _redrawn(part, scenario, estimates)
+        if places is not None:
+            stem = f"positions-{slug(part)}" if part.where else "positions"
+            yield stem, _figure(part, places, width)
+
+
+def _key(swept: Iterable[tuple[str, Any]]) -> frozenset[tuple[str, Any]]:
+    return frozenset((key, cell(value)) for key, value in swept)
+
+
+def _redrawn(part: Drawn, scenario: Scenario, estimates: dict[str, Any]) -> _Places | None:
+    """The instances of one point again, and what was found there."""
+    runs = part.runs[part.runs["status"] == Status.OK]
+    shown = sorted(runs["repetition"].unique())[:REPETITIONS]
+    truths: list[ndarray] = []
+    found: dict[str, list[ndarray]] = {name: [] for name in part.methods}
+    for repetition in shown:
+        here = runs[runs["repetition"] == repetition]
+        instance = scenario.draw(np.random.default_rng(int(here["instance_seed"].iloc[0])))
+        matched = {}
+        for run in here.to_dict("records"):
+            estimate = np.array(estimates[run["run_id"]], dtype=np.float64)
+            error = instance.score(estimate)[part.error]
+            if not math.isclose(error, run[part.error], rel_tol=1e-6, abs_tol=1e-12):
+                raise NfbenchError(
+                    f"positions cannot be redrawn: {part.error} of run {run['run_id']} is {run[part.error]:.6g}, and "
+                    f"{error:.6g} on the instance that its scenario and seed draw now"
+                )
+            placed = instance.positions(estimate)
+            if placed is None:
+                return None
+            truth, matched[run["method"]] = placed
+        truths.append(truth)
+        for name, places in found.items():
+            places.append(matched.get(name, np.full_like(truth, math.nan)))
+    return _Places(np.array(truths), {name: np.array(places) for name, places in found.items()}) if shown else None
+
+
+def _figure(part: Drawn, places: _Places, width: str) -> Figure:
+    """A column of panels a source: seen from above, and where z matters, from the side below."""
+    everything = np.concatenate([places.truth, *places.found.values(), np.zeros((1, *places.truth.shape[1:]))])
+    low, high = np.nanmin(everything, axis=(0, 1)), np.nanmax(everything, axis=(0, 1))
+    margin = 0.06 * (high - low).max()
+    low, high = low - margin, high + margin
+    views = [(0, 1), (0, 2)] if np.ptp(places.truth[..., 2]) > 0 else [(0, 1)]
+    sources = places.truth.shape[1]
+    columns = min(sources, COLUMNS[width])
+    blocks = -(-sources // columns)
+    across = min((WIDTHS[width] - 0.6) / columns, WIDEST)
+    ratios = [(high[j] - low[j]) / (high[i] - low[i]) for i, j in views] * blocks
+    figure = new_figure(WIDTHS[width], across * sum(ratios) + 0.3 * blocks + 0.35, part.title, "compressed")
+    grid = figure.subplots(len(ratios), columns, squeeze=False, height_ratios=ratios)
+    for number, axes in enumerate(grid):
+        i, j = views[number % len(views)]
+        for column, ax in enumerate(axes):
+            k = number // len(views) * columns + column
+            if k >= sources:
+                ax.set_visible(False)
+                continue
+            _draw(ax, part, places, k, (i, j))
+            ax.set(xlim=(low[i], high[i]), ylim=(low[j], high[j]), aspect="equal")
+            last = number % len(views) == len(views) - 1
+            ax.tick_params(labelbottom=last, labelleft=column == 0)
+            if last:
+                ax.set_xlabel(f"{AXES[i]} [m]")
+            if column == 0:
+                ax.set_ylabel(f"{AXES[j]} [m]")
+            if number % len(views) == 0:
+                ax.set_title(f"Source {k + 1}", loc="left")
+    figure.align_ylabels()
+    truth = {"True position": Line2D([], [], **TRUTH), "Array origin": Line2D([], [], **ORIGIN)}
+    handles = {**truth, **method_handles(part, joined=False)}
+    if part.where:
+        figure.suptitle("\n".join(filter(None, [figure.get_suptitle(), named(part)])))
+    legend_below(figure, list(handles.values()), list(handles))
+    return figure
+
+
+def _draw(ax: Axes, part: Drawn, places: _Places, k: int, view: tuple[int, int]) -> None:
+    """One source in one view: stars, and a line from each to what every method took for it."""
+    i, j = view
+    ax.plot([0.0], [0.0], **ORIGIN, zorder=1)
+    truth = places.truth[:, k]
+    for name, style in part.styles.items():
+        found = places.found[name][:, k]
+        ax.plot([truth[:, i], found[:, i]], [truth[:, j], found[:, j]], color=style.colour, linewidth=0.6, zorder=2)
+        ax.plot(found[:, i], found[:, j], **{**style.points, "markersize": 3.5}, label=plain(name), zorder=3)
+    ax.plot(truth[:, i], truth[:, j], **TRUTH, label="truth", zorder=2.5)
