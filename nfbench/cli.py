@@ -45,6 +45,20 @@ class One(StrEnum):
     SCENARIO = "scenario"
 
 
+class Width(StrEnum):
+    """What a figure fills."""
+
+    SINGLE = "single"
+    DOUBLE = "double"
+
+
+class Metric(StrEnum):
+    """Which error a figure shows."""
+
+    RMSE = "rmse"
+    MEDIAN = "median"
+
+
 @app.callback(invoke_without_command=True)
 def about(
     version: Annotated[bool, typer.Option("--version", help="Print the version and stop.")] = False,
@@ -72,6 +86,10 @@ def _console() -> Console:
     return console if console.is_terminal or "COLUMNS" in os.environ else Console(highlight=False, width=110)
 
 
+def _warn(text: str) -> None:
+    Console(stderr=True).print(f"nfbench: {text}", style="yellow", highlight=False, markup=False, soft_wrap=True)
+
+
 @app.command()
 def run(
     study: Annotated[Path, typer.Argument(metavar="STUDY.toml", help="The manifest of the study.")],
@@ -97,7 +115,7 @@ def run(
     loaded = load_study(study, plugin or ())
     console = _console()
     for warning in loaded.warnings:
-        Console(stderr=True).print(f"nfbench: {warning}", style="yellow", highlight=False, markup=False, soft_wrap=True)
+        _warn(warning)
     folder = out or Path("results") / loaded.name
     progress = Quiet() if quiet else (LiveView if console.is_terminal else Lines)(console, loaded.error)
     try:
@@ -208,6 +226,38 @@ def report(folder: Folder) -> None:
     from .results import Results
 
     print_report(Results(folder), _console())
+
+
+@app.command()
+def figure(
+    folder: Folder,
+    out: Annotated[Path | None, typer.Option(help="Where the figures go (default: DIR).")] = None,
+    formats: Annotated[str, typer.Option("--format", help="svg, pdf, png, or several with commas.")] = "svg,pdf",
+    width: Annotated[Width, typer.Option(help="Of an IEEE column (3.5 in) or page (7.16 in).")] = Width.SINGLE,
+    metric: Annotated[Metric | None, typer.Option(help="Show one alone (default: both, and outliers).")] = None,
+    title: Annotated[bool, typer.Option(help="The study's title above each figure.")] = True,
+    positions: Annotated[
+        bool | None, typer.Option(help="True and estimated positions (default: where the study is small).")
+    ] = None,
+    traces: Annotated[bool, typer.Option("--traces", help="Objective against evaluations.")] = False,
+    manifest: Annotated[
+        Path | None, typer.Option(help="Where positions' scenario is read (default: DIR/manifest.toml).")
+    ] = None,
+    plugin: Plugins = None,
+) -> None:
+    """Draw a study's figures: error over the sweep, run time against error, positions, convergence."""
+    from .figures import FORMATS, Drawing, write_figures
+    from .results import Results
+
+    kinds = list(dict.fromkeys(kind.strip() for kind in formats.split(",")))
+    unknown = [kind for kind in kinds if kind not in FORMATS]
+    if unknown:
+        raise typer.BadParameter(f"expected {', '.join(FORMATS)}, got {unknown[0]!r}", param_hint="--format")
+    how = Drawing(
+        width.value, metric.value if metric else None, title, positions, traces, manifest, tuple(plugin or ())
+    )
+    for path in write_figures(Results(folder), out or folder, kinds, how, _warn):
+        typer.echo(path)
 
 
 @app.command("list")

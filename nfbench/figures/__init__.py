@@ -17,6 +17,7 @@ from matplotlib.figure import Figure
 
 from ..errors import NfbenchError
 from ..results import Results
+from .convergence import convergence_figure
 from .data import Wanted, drawn
 from .error import error_figures
 from .positions import few_enough, position_figures
@@ -67,6 +68,11 @@ def figures(
         tell(f"unfinished: {left} of {left + len(study.runs)} runs are still to do; the figures show the others")
     yield from error_figures(study, how.width, how.metric)
     yield "runtime", runtime_figure(study, how.width, how.metric)
+    if how.traces:
+        convergence = convergence_figure(study, results, how.width)
+        if convergence is None:
+            raise NfbenchError(f"{results.folder}: no convergence to draw: no run has a trace")
+        yield "convergence", convergence
     if how.positions or (how.positions is None and few_enough(study)):
         manifest = how.manifest or results.folder / "manifest.toml"
         try:

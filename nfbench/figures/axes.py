@@ -12,6 +12,7 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.ticker import FixedFormatter, FixedLocator, MaxNLocator, NullFormatter
 from numpy import ndarray
 
@@ -24,13 +25,13 @@ _LEAST = 1.6  # an axis spans at least this ratio, so that noise does not look l
 _MARGIN = 0.05
 
 
-def new_figure(
-    width: float, height: float, title: str, layout: Literal["constrained", "compressed"] = "constrained"
-) -> Figure:
-    """An empty figure of that size [in], its title wrapped to the width."""
+def new_figure(width: float, height: float, title: str, compress: bool = False) -> Figure:
+    """An empty figure of that size [in], its title wrapped to the width; compress: for panels of a fixed aspect."""
     lines = textwrap.wrap(title, width=max(int(width * 17), 20))
-    figure = Figure(figsize=(width, height + 0.14 * len(lines)), layout=layout)
-    figure.get_layout_engine().set(w_pad=0.03, h_pad=0.03)  # type: ignore[union-attr]
+    figure = Figure(
+        figsize=(width, height + 0.14 * len(lines)),
+        layout=ConstrainedLayoutEngine(w_pad=0.03, h_pad=0.03, compress=compress),
+    )
     if lines:
         figure.suptitle(plain("\n".join(lines)))
     return figure
@@ -95,7 +96,7 @@ def swept_axis(ax: Axes, at: Places) -> None:
         _ticks(ax.xaxis, [*ticks, *extra], [*map(text_of, ticks), *["∞"] * len(extra)])
 
 
-def _ticks(axis: Axis, ticks: Sequence[float], texts: Sequence[str], minor: Sequence[float] = ()) -> None:
+def _ticks(axis: Axis, ticks: Iterable[float], texts: Iterable[str], minor: Iterable[float] = ()) -> None:
     axis.set_major_locator(FixedLocator(list(ticks)))
     axis.set_major_formatter(FixedFormatter(list(texts)))
     axis.set_minor_locator(FixedLocator(list(minor)))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterator, Sequence
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pandas as pd
@@ -57,8 +57,8 @@ def named(part: Drawn) -> str:
 
 def slug(part: Drawn) -> str:
     """What is held fixed, as a part of a file's name."""
-    text = "-".join(f"{key_of(column)}-{value}" for column, value in part.where)
-    return re.sub(r"[^A-Za-z0-9_.]+", "-", text).strip("-")
+    texts = [f"{key_of(column)}-{text_of(value)}".replace("∞", "inf").replace("−", "-") for column, value in part.where]
+    return re.sub(r"[^A-Za-z0-9_.-]+", "-", "-".join(texts)).strip("-")
 
 
 def method_handles(study: Drawn, joined: bool) -> dict[str, Artist]:
@@ -196,7 +196,7 @@ def _numbers(rows: pd.DataFrame, metric: Metric, column: str) -> ndarray:
     return (100.0 if metric.share else 1.0) * rows[column].to_numpy(dtype=np.float64)
 
 
-def _scale(axes: Sequence[Axes], which: str, metric: Metric, parts: list[Drawn]) -> None:
+def _scale(axes: Sequence[Axes], which: Literal["x", "y"], metric: Metric, parts: list[Drawn]) -> None:
     """One scale for a metric's panels, wide enough for all that is drawn in any of them."""
     if metric.share:
         worst = 100 * max(part.table[metric.column].max() for part in parts)

@@ -24,9 +24,9 @@ from ..scenario import Scenario
 from ..store import Store
 from .axes import legend_below, new_figure
 from .data import Drawn, key_of
-from .error import method_handles, named, slug
+from .error import named, slug
 from .labels import plain
-from .style import GREY, WIDTHS
+from .style import GREY, WIDTHS, Style
 
 __all__ = ["few_enough", "position_figures"]
 
@@ -36,7 +36,7 @@ COLUMNS = {"single": 3, "double": 6}
 WIDEST = 2.2  # panel [in]
 AXES = "xyz"
 ORIGIN: dict[str, Any] = {"color": GREY, "marker": "+", "markersize": 5.0, "markeredgewidth": 0.8, "linestyle": ""}
-TRUTH: dict[str, Any] = {"color": "black", "marker": "*", "markersize": 6.5, "markeredgewidth": 0.0, "linestyle": ""}
+TRUTH: dict[str, Any] = {"color": "black", "marker": "*", "markersize": 5.0, "markeredgewidth": 0.0, "linestyle": ""}
 
 
 @final
@@ -122,7 +122,7 @@ def _figure(part: Drawn, places: _Places, width: str) -> Figure:
     blocks = -(-sources // columns)
     across = min((WIDTHS[width] - 0.6) / columns, WIDEST)
     ratios = [(high[j] - low[j]) / (high[i] - low[i]) for i, j in views] * blocks
-    figure = new_figure(WIDTHS[width], across * sum(ratios) + 0.3 * blocks + 0.35, part.title, "compressed")
+    figure = new_figure(WIDTHS[width], across * sum(ratios) + 0.3 * blocks + 0.35, part.title, compress=True)
     grid = figure.subplots(len(ratios), columns, squeeze=False, height_ratios=ratios)
     for number, axes in enumerate(grid):
         i, j = views[number % len(views)]
@@ -143,7 +143,7 @@ def _figure(part: Drawn, places: _Places, width: str) -> Figure:
                 ax.set_title(f"Source {k + 1}", loc="left")
     figure.align_ylabels()
     truth = {"True position": Line2D([], [], **TRUTH), "Array origin": Line2D([], [], **ORIGIN)}
-    handles = {**truth, **method_handles(part, joined=False)}
+    handles = {**truth, **{name: Line2D([], [], **_hollow(style)) for name, style in part.styles.items()}}
     if part.where:
         figure.suptitle("\n".join(filter(None, [figure.get_suptitle(), named(part)])))
     legend_below(figure, list(handles.values()), list(handles))
@@ -158,5 +158,11 @@ def _draw(ax: Axes, part: Drawn, places: _Places, k: int, view: tuple[int, int])
     for name, style in part.styles.items():
         found = places.found[name][:, k]
         ax.plot([truth[:, i], found[:, i]], [truth[:, j], found[:, j]], color=style.colour, linewidth=0.6, zorder=2)
-        ax.plot(found[:, i], found[:, j], **{**style.points, "markersize": 3.5}, label=plain(name), zorder=3)
+        ax.plot(found[:, i], found[:, j], **_hollow(style), label=plain(name), zorder=3)
     ax.plot(truth[:, i], truth[:, j], **TRUTH, label="truth", zorder=2.5)
+
+
+def _hollow(style: Style) -> dict[str, Any]:
+    """Markers that show what is behind them: where methods agree, they meet around the star."""
+    edge = {"markerfacecolor": "none", "markeredgecolor": style.colour, "markeredgewidth": 0.8, "markersize": 4.5}
+    return {**style.points, **edge}
