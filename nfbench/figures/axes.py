@@ -118,10 +118,15 @@ def _log_ticks(
     round_ones = MaxNLocator(nbins=most).tick_values(low, high)
     choices = steps + finer if len(_within(decades, low, high)) > 2 else [*finer, decades, round_ones]
     found = (_within(choice, low, high) for choice in choices)
-    ticks = next((ticks for ticks in found if 2 <= len(ticks) <= most), np.array([low, high]))
+    ticks = next((ticks for ticks in found if len(ticks) >= 2 and _width(ticks) <= most), np.array([low, high]))
     minor = np.outer(decades, np.arange(1, 10)).ravel() if len(decades) <= 8 else decades
     axis = ax.xaxis if which == "x" else ax.yaxis
     _ticks(axis, [*extra, *ticks], [*names, *map(_decimal, ticks)], _within(minor, low, high))
+
+
+def _width(ticks: ndarray) -> float:
+    """In labels: those with a factor before a power of ten count twice."""
+    return sum(2 if r"\times" in _decimal(tick) else 1 for tick in ticks)
 
 
 def _within(ticks: Any, low: float, high: float) -> ndarray:

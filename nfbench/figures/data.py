@@ -11,7 +11,7 @@ from typing import Any, Literal, TypeAlias, final
 import numpy as np
 import pandas as pd
 from numpy import ndarray
-from scipy.stats import binom
+from scipy.special import bdtr
 
 from ..budget import Status
 from ..errors import NfbenchError
@@ -138,7 +138,8 @@ def _median(error: str) -> str:
 
 def _median_interval(values: ndarray) -> tuple[float, float]:
     """Of the median, free of any distribution: between two order statistics (David & Nagaraja 2003, § 7.1)."""
-    rank = int(binom.ppf((1 - CONFIDENCE) / 2, len(values), 0.5))
+    n = len(values)
+    rank = int(np.sum(bdtr(np.arange(n), n, 0.5) <= (1 - CONFIDENCE) / 2))  # values on either side are left out
     if rank < 1:
         return math.nan, math.nan
     ordered = np.sort(values)
