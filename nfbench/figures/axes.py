@@ -20,7 +20,7 @@ from .labels import Places, plain, text_of
 
 __all__ = ["error_axis", "legend_below", "new_figure", "swept_axis"]
 
-_PER_INCH = {"x": 2.4, "y": 3.5}  # labels that fit
+_PER_INCH = {"x": 2.2, "y": 3.5}  # labels that fit
 _LEAST = 1.6  # an axis spans at least this ratio, so that noise does not look like a difference
 _MARGIN = 0.05
 
@@ -110,15 +110,15 @@ def _log_ticks(
     figure = cast(Figure, ax.get_figure())
     rows, columns = ax.get_subplotspec().get_gridspec().get_geometry()  # type: ignore[union-attr]
     inches = 0.75 * figure.get_figwidth() / columns if which == "x" else 0.8 * figure.get_figheight() / rows
-    most = max(int(inches * _PER_INCH[which]), 3)
+    most = max(int(inches * _PER_INCH[which]), 2)
     first, last = math.floor(math.log10(low)), math.ceil(math.log10(high))
     decades = 10.0 ** np.arange(first, last + 1)
     steps = [decades[::step] for step in range(1, len(decades))]
     finer = [np.outer(decades, factors).ravel() for factors in ((1, 1.5, 2, 3, 4, 5, 6, 8), (1, 2, 5), (1, 3))]
     round_ones = MaxNLocator(nbins=most).tick_values(low, high)
     choices = steps + finer if len(_within(decades, low, high)) > 2 else [*finer, decades, round_ones]
-    found = (_within(choice, low, high) for choice in choices)
-    ticks = next((ticks for ticks in found if len(ticks) >= 2 and _width(ticks) <= most), np.array([low, high]))
+    found = [ticks for choice in choices if len(ticks := _within(choice, low, high)) > 1] or [np.array([low, high])]
+    ticks = next((ticks for ticks in found if _width(ticks) <= most), min(found, key=_width))
     minor = np.outer(decades, np.arange(1, 10)).ravel() if len(decades) <= 8 else decades
     axis = ax.xaxis if which == "x" else ax.yaxis
     _ticks(axis, [*extra, *ticks], [*names, *map(_decimal, ticks)], _within(minor, low, high))
@@ -137,7 +137,7 @@ def _within(ticks: Any, low: float, high: float) -> ndarray:
 def _decimal(value: float) -> str:
     """0.01 and 500 as they are, beyond that powers of ten."""
     if 1e-3 <= value < 1e4:
-        return f"{value:g}"
+        return f"{float(f'{value:.3g}'):g}"
     exponent = math.floor(math.log10(value) + 1e-9)
     mantissa = value / 10.0**exponent
     times = "" if abs(mantissa - 1) < 1e-6 else rf"{mantissa:g}\times "

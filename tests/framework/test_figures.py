@@ -264,6 +264,31 @@ def test_a_log_axis_always_has_labels_and_they_do_not_overlap(values, width):
     assert all(low < value < high for value in values)
 
 
+@pytest.mark.parametrize("width", ["single", "double"])
+@pytest.mark.parametrize(
+    "sweep",
+    ["", "noise = [0.0, 0.25, 1.0]\n", 'names = [["a"], ["b", "c"]]\n', "dimension = [1, 9]\nnoise = [0.0, 0.5]\n"],
+)
+def test_no_label_covers_another_or_leaves_the_page(study, sweep, width):
+    for stem, figure in drawings(study(sweep), width=width, traces=True).items():
+        with styled():
+            figure.draw_without_rendering()
+            for ax in figure.axes:
+                for axis in (ax.xaxis, ax.yaxis):
+                    texts = [tick.label1 for tick in axis.get_major_ticks() if tick.label1.get_visible()]
+                    boxes = [text.get_window_extent() for text in texts if text.get_text()]
+                    boxes = [box for box in boxes if box.width > 0]
+                    assert not any(a.overlaps(b) for a, b in itertools.combinations(boxes, 2)), (stem, ax)
+                    if axis.label.get_text():
+                        boxes.append(axis.label.get_window_extent())
+                    assert all(box.x0 >= -1 and box.x1 <= figure.bbox.x1 + 1 for box in boxes), (stem, ax)
+            (legend,) = figure.legends or [None]
+            if legend:
+                box = legend.get_window_extent()
+                assert box.x0 >= 0 and box.x1 <= figure.bbox.x1
+                assert all(box.y1 <= ax.get_window_extent().y0 for ax in figure.axes)
+
+
 def test_a_perfect_score_is_drawn_at_zero(study):
     results = study(extra=TOY + '[[formulation]]\nkind = "oracle"\n')
     rmse = drawings(results)["error"].axes[0]
