@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+import textwrap
 from collections.abc import Iterator, Sequence
 from typing import Any, Literal
 
@@ -23,6 +24,7 @@ from .style import WIDTHS
 __all__ = ["BOUNDS", "error_figures", "headed", "method_handles", "named", "slug"]
 
 PANELS = {"single": 3, "double": 4}  # values of a second key in one figure; with more, each has its own
+NAME = {"single": 26, "double": 50}  # characters in a line of a method's name
 BANDS = 5  # with more methods, intervals are bars: bands would hide each other
 BOUNDS: dict[str, tuple[str, dict[str, Any]]] = {  # columns of the summary beside the methods
     "crb_m": ("Cramér–Rao bound", {"color": "black", "linestyle": "--", "linewidth": 1.0}),
@@ -130,7 +132,8 @@ def _apart(x: ndarray, y: ndarray, at: Places) -> tuple[ndarray, ndarray]:
 def _dots(parts: list[Drawn], metrics: list[Metric], width: str, column: str | None = None) -> Figure:
     """A row of panels a part, a column a metric, the methods below each other, in each of the categories."""
     groups = [part.by([column] if column else []) for part in parts]
-    step = 0.17 if column is None else 0.11
+    rows = [_with_failures(row, width) for row in parts[0].table.to_dict("records")]
+    step = 0.11 if column else 0.17 if not any("\n" in row for row in rows) else 0.24
     heights = [sum(step * len(group.table) + (0.12 if column else 0.0) for group in row) + 0.2 for row in groups]
     figure = new_figure(WIDTHS[width], sum(heights) + 0.45, parts[0].title)
     ratios = [0.55 if metric.share else 1.0 for metric in metrics]
@@ -139,10 +142,10 @@ def _dots(parts: list[Drawn], metrics: list[Metric], width: str, column: str | N
     )
     for part, row, axes in zip(parts, groups, grid, strict=True):
         headed(axes[0], part)
-        _draw_rows(axes, row, metrics, column)
+        _draw_rows(axes, row, metrics, column, width)
     for metric, axes in zip(metrics, grid.T, strict=True):
         _scale(axes, "x", metric, parts)
-        axes[-1].set_xlabel(metric.label)
+        axes[-1].set_xlabel(metric.label.replace(" [%]", "\n[%]"))
     for ax in grid[:, 0] if column else ():
         ax.set_ylabel(name_of(key_of(column or "")))
     if column or any(len(parts[0].bound(name)) for name in BOUNDS):
@@ -150,7 +153,9 @@ def _dots(parts: list[Drawn], metrics: list[Metric], width: str, column: str | N
     return figure
 
 
-def _draw_rows(axes: Sequence[Axes], groups: list[Drawn], metrics: list[Metric], column: str | None) -> None:
+def _draw_rows(
+    axes: Sequence[Axes], groups: list[Drawn], metrics: list[Metric], column: str | None, width: str
+) -> None:
     """The rows of one panel, from the top; a group is a category, or all there is, and then the best comes first."""
     top, ticks, names = 0.0, [], []
     for number, group in enumerate(groups):
@@ -162,7 +167,11 @@ def _draw_rows(axes: Sequence[Axes], groups: list[Drawn], metrics: list[Metric],
                 ax.axhspan(*span, color="0.95", linewidth=0, zorder=0)
             _draw_dots(ax, group, metric, places, span)
         ticks += [sum(places.values()) / len(places)] if column else list(places.values())
-        names += [text_of(group.where[-1][1])] if column else [_with_failures(row) for row in table.to_dict("records")]
+        names += (
+            [text_of(group.where[-1][1])]
+            if column
+            else [_with_failures(row, width) for row in table.to_dict("records")]
+        )
         top += len(table) + 0.8
     for ax in axes:
         ax.set_ylim(span[0], 0.9 if column else 0.7)
@@ -184,9 +193,10 @@ def _draw_dots(ax: Axes, group: Drawn, metric: Metric, places: dict[str, float],
             ax.plot([value, value], span, **look, label=name, zorder=1)
 
 
-def _with_failures(row: dict[Any, Any]) -> str:
+def _with_failures(row: dict[Any, Any], width: str) -> str:
+    """A method's name, wrapped, and how often it failed."""
     failed = f" ({row['failed']} of {row['runs']} failed)" if row["failed"] else ""
-    return plain(f"{row['method']}{failed}")
+    return plain("\n".join(textwrap.wrap(f"{row['method']}{failed}", NAME[width])))
 
 
 # --- both ----------------------------------------------------------------------------------------------------------

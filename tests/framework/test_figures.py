@@ -157,7 +157,7 @@ def test_without_a_sweep_methods_stand_below_each_other_the_best_on_top(study):
     results = study()
     rmse, median, _ = drawings(results)["error"].axes
     summary = results.summary().sort_values("rmse_m")
-    names = [text.get_text() for text in rmse.get_yticklabels()]
+    names = [text.get_text().replace("\n", " ") for text in rmse.get_yticklabels()]
     assert names == summary["method"].tolist()
     for place, name, error, middle in zip(
         rmse.get_yticks(), names, summary["rmse_m"], summary["median_m"], strict=True
@@ -277,7 +277,6 @@ def test_no_label_covers_another_or_leaves_the_page(study, sweep, width):
                 for axis in (ax.xaxis, ax.yaxis):
                     texts = [tick.label1 for tick in axis.get_major_ticks() if tick.label1.get_visible()]
                     boxes = [text.get_window_extent() for text in texts if text.get_text()]
-                    boxes = [box for box in boxes if box.width > 0]
                     assert not any(a.overlaps(b) for a, b in itertools.combinations(boxes, 2)), (stem, ax)
                     if axis.label.get_text():
                         boxes.append(axis.label.get_window_extent())
