@@ -65,10 +65,10 @@ def error_axis(axes: Iterable[Axes], which: Literal["x", "y"], values: Iterable[
     for ax in axes:
         scale, limits = (ax.set_xscale, ax.set_xlim) if which == "x" else (ax.set_yscale, ax.set_ylim)
         if zeros:
-            scale("symlog", linthresh=low, linscale=0.5)
+            scale("symlog", linthresh=low, linscale=max(0.1 * math.log10(high / low), 0.5))
         else:
             scale("log")
-        limits(-0.2 * low if zeros else low, high)
+        limits(-0.7 * low if zeros else low, high)
         _log_ticks(ax, which, low, high, zeros, ["0"] * len(zeros))
 
 
@@ -113,7 +113,7 @@ def _log_ticks(
     most = max(int(inches * _PER_INCH[which]), 2)
     first, last = math.floor(math.log10(low)), math.ceil(math.log10(high))
     decades = 10.0 ** np.arange(first, last + 1)
-    steps = [decades[::step] for step in range(1, len(decades))]
+    steps = [decades[start::step] for step in range(1, len(decades)) for start in range(step)]
     finer = [np.outer(decades, factors).ravel() for factors in ((1, 1.5, 2, 3, 4, 5, 6, 8), (1, 2, 5), (1, 3))]
     round_ones = MaxNLocator(nbins=most).tick_values(low, high)
     choices = steps + finer if len(_within(decades, low, high)) > 2 else [*finer, decades, round_ones]
