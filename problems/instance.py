@@ -81,7 +81,10 @@ class NearFieldInstance(Instance):
 
     def positions(self, estimate: Float[ndarray, "q d"]) -> tuple[Float[ndarray, "k 3"], Float[ndarray, "k 3"]]:
         """The true positions and, row by row, the estimates assigned to them as for the score [m]."""
-        truth, found = cartesian(self.theta), cartesian(np.asarray(estimate, dtype=np.float64).reshape(-1, self.theta.shape[1]))
+        truth, found = (
+            cartesian(self.theta),
+            cartesian(np.asarray(estimate, dtype=np.float64).reshape(-1, self.theta.shape[1])),
+        )
         source, guess = linear_sum_assignment(np.sum((truth[:, None] - found) ** 2, axis=-1))
         matched = np.full_like(truth, math.nan)
         matched[source] = found[guess]
