@@ -62,10 +62,10 @@ def test_count_and_best_equal_a_plain_account(batches, limit):
         pass
     done = asked[:limit]
     assert meter.evaluations == problem.count == len(done)
-    assert meter.best_value == (min(x**2 for x in done) if done else math.inf)
+    assert meter.best_value == (min(x * x for x in done) if done else math.inf)
     values, best = meter.trace.values, math.inf
     assert list(values) == sorted(values, reverse=True)
-    improvements = [(i, best := x**2) for i, x in enumerate(done, 1) if x**2 < best]
+    improvements = [(i, best := x * x) for i, x in enumerate(done, 1) if x * x < best]
     rows = list(zip(meter.trace.evaluations, values, strict=True))
     assert rows[: len(improvements)] == improvements
     assert not done or rows[-1][0] == len(done)
