@@ -435,7 +435,7 @@ def page(judged: list[Claim]) -> str:
         f"Of {len(judged)} claims {counts['confirmed']} are confirmed, {counts['refuted']} refuted, "
         f"{counts['undecided']} undecided: open, or true under some conditions and false under others.",
         "A claim is confirmed if it fails under no condition and holds under at least half of them, refuted if it",
-        "holds under none and fails under at least half. A condition is open where its 95 % interval covers both sides.",
+        "holds under none and fails under at least half. A condition is open where its 95 % interval covers both.",
         "",
         "| | claim | in the paper | verdict | holds / fails / open | where it flips | study |",
         "|---|---|---|---|---|---|---|",
