@@ -27,7 +27,7 @@ _MARGIN = 0.05
 
 def new_figure(width: float, height: float, title: str, compress: bool = False) -> Figure:
     """An empty figure of that size [in], its title wrapped to the width; compress: for panels of a fixed aspect."""
-    lines = textwrap.wrap(title, width=max(int(width * 17), 20))
+    lines = textwrap.wrap(title.replace(" = ", "\u00a0=\u00a0"), width=max(int(width * 17), 20))
     figure = Figure(
         figsize=(width, height + 0.14 * len(lines)),
         layout=ConstrainedLayoutEngine(w_pad=0.03, h_pad=0.03, compress=compress),

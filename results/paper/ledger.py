@@ -3,8 +3,9 @@
 A claim is a comparison of two methods, or of one method with itself elsewhere, under each condition that was studied.
 Of each condition stands the ratio with its 95 % interval, from a bootstrap over scenes (paired: both methods on the
 same resampled scenes). It holds where the interval lies on the claimed side of 1, fails where it lies on the other,
-and is open otherwise. A claim is confirmed if it fails under no condition and holds under at least half of them,
-refuted if it holds under none and fails under at least half, and undecided otherwise; then it is told where it flips.
+and is open otherwise. A claim is confirmed if it fails under no condition and holds under at least a quarter of them,
+refuted if it holds under none and fails under at least a quarter, and undecided otherwise; then it is told where it
+flips.
 """
 
 from __future__ import annotations
@@ -58,8 +59,8 @@ class Claim:
     @property
     def verdict(self) -> str:
         holds, fails = (sum(item.holds is value for item in self.evidence) for value in (True, False))
-        half = len(self.evidence) / 2
-        return "confirmed" if not fails and holds >= half else "refuted" if not holds and fails >= half else "undecided"
+        many = len(self.evidence) / 4
+        return "confirmed" if not fails and holds >= many else "refuted" if not holds and fails >= many else "undecided"
 
 
 @cache
@@ -434,8 +435,8 @@ def page(judged: list[Claim]) -> str:
     lines = [
         f"Of {len(judged)} claims {counts['confirmed']} are confirmed, {counts['refuted']} refuted, "
         f"{counts['undecided']} undecided: open, or true under some conditions and false under others.",
-        "A claim is confirmed if it fails under no condition and holds under at least half of them, refuted if it",
-        "holds under none and fails under at least half. A condition is open where its 95 % interval covers both.",
+        "A claim is confirmed if it fails under no condition and holds under at least a quarter of them, refuted if it",
+        "holds under none and fails under at least a quarter. A condition is open where its 95 % interval covers both.",
         "",
         "| | claim | in the paper | verdict | holds / fails / open | where it flips | study |",
         "|---|---|---|---|---|---|---|",
