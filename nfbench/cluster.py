@@ -188,6 +188,8 @@ class _Session:
             self._error, outcome = _lost(self._address, "it dropped the runs it was given"), []
         elif isinstance(outcome, NfbenchError):
             self._error, outcome = outcome, []
+        elif isinstance(outcome, OSError):  # also dask's CommClosedError: the connection broke while a result came
+            self._error, outcome = _lost(self._address, explain(outcome)), []
         elif isinstance(outcome, BaseException):
             words = f"the cluster at {self._address} cannot take runs: {explain(outcome)}; finished rows are kept"
             self._error, outcome = NfbenchError(words), []
