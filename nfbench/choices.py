@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
-from .errors import OptionError, PluginError
+from .errors import MissingExtra, OptionError, PluginError
 from .options import Options, canonical
 from .registry import Registry
 from .study import Choice, digest
@@ -73,6 +73,9 @@ class Chooser:
             made = self.registry.make(kind, name, options)
         except OptionError as error:
             problems.of(path, error)
+            return None
+        except MissingExtra as error:
+            problems.add(f"{path}.kind", str(error))
             return None
         except PluginError as error:
             return self._keep(kind, Choice(name, label, canonical(options), plugin.version, str(error))), None

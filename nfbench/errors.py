@@ -34,6 +34,10 @@ class PluginError(NfbenchError):
     """A plugin is unknown, failed to import, or claims a name that is taken."""
 
 
+class MissingExtra(PluginError):
+    """A solver is registered, but the library it wraps is not installed; the message says how to install it."""
+
+
 class StoreError(NfbenchError):
     """A results folder cannot be read or written, or belongs to another study."""
 

@@ -14,12 +14,12 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from .errors import PluginError
+from .errors import MissingExtra, PluginError
 from .formulation import Formulation
 from .minimize import explain
 from .options import Options, build, suggest
 from .scenario import Scenario
-from .solver import Solver
+from .solver import Solver, SolverInfo
 
 __all__ = ["CONTRACTS", "Plugin", "Registry"]
 
@@ -52,6 +52,19 @@ class Plugin:
             )
         return cls
 
+    def missing(self) -> str | None:
+        """Where it is a solver whose libraries are not all installed: which, and how to install them.
+
+        Looks for the modules without importing them. Raises PluginError if the plugin itself cannot be imported.
+        """
+        info = getattr(self.resolve(), "info", SolverInfo())
+        absent = [module for module in info.requires if importlib.util.find_spec(module) is None]
+        if not absent:
+            return None
+        package = self.origin.partition(" ")[0]
+        wanted = f"'{package}[{info.extra}]'" if info.extra else " ".join(absent)
+        return f"needs {', '.join(absent)}, not installed here: pip install {wanted}"
+
 
 class Registry:
     """Every plugin that can be named: the installed entry points, and the classes in ``files``.
@@ -83,8 +96,12 @@ class Registry:
             raise PluginError(f"unknown {kind} {name!r}{suggest(name, self.names(kind))}") from None
 
     def make(self, kind: str, name: str, options: Mapping[str, Any]) -> Options:
-        """Construct a plugin from its options. Raises PluginError or OptionError."""
-        return build(self.find(kind, name).resolve(), options)
+        """Construct a plugin from its options. Raises PluginError, or MissingExtra, or OptionError."""
+        plugin = self.find(kind, name)
+        made = build(plugin.resolve(), options)
+        if missing := plugin.missing():
+            raise MissingExtra(f"{kind} {name} {missing}")
+        return made
 
     def _add(self, plugin: Plugin) -> None:
         other = self._plugins.setdefault((plugin.kind, plugin.name), plugin)

@@ -23,7 +23,8 @@ class SolverInfo:
     stochastic: uses the generator it is given. batched: evaluates many points at a time.
     needs_gradient: works only where ``problem.has_gradient``. global_search: looks beyond one basin.
     converges: drives its best point to high precision (false: samples, like random search).
-    reference: authors, year and DOI of the algorithm. extra: the optional extra of nfbench that installs it.
+    reference: authors, year and DOI of the algorithm. requires: modules it imports when it runs, beyond what its
+    package always installs; extra: the optional extra of that package that installs them.
     """
 
     stochastic: bool = True
@@ -33,6 +34,7 @@ class SolverInfo:
     converges: bool = True
     reference: str = ""
     extra: str | None = None
+    requires: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,86 @@
+"""Adaptive differential evolution, particle swarms and CMA-ES of MinionPy."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, ClassVar, Literal
+
+import numpy as np
+
+from nfbench import Ge, MeteredProblem, Solver, SolverInfo
+
+from .finite import Finite
+from .wrapped import Stop, from_unit, planned
+
+__all__ = ["MinionPy"]
+
+
+@dataclass(frozen=True)
+class MinionPy(Solver):
+    """An algorithm of MinionPy (C++), in the unit box. It ends when the library takes it for converged.
+
+    The library plans for the whole budget: most of its algorithms shrink their population towards its end. RDEX and
+    L_BFGS are left out, as they leave the box.
+
+    algorithm: by MinionPy's name. NelderMead and L_BFGS_B (gradients by differences) search locally.
+    population: individuals at the start; None: the library's choice.
+    horizon: evaluations to plan for where the budget does not count them.
+    """
+
+    algorithm: Literal[
+        "ARRDE",
+        "DE",
+        "JADE",
+        "LSHADE",
+        "LSHADE_cnEpSin",
+        "jSO",
+        "j2020",
+        "NLSHADE_RSP",
+        "LSRTDE",
+        "IMODE",
+        "AGSK",
+        "ABC",
+        "PSO",
+        "SPSO2011",
+        "DMSPSO",
+        "CMAES",
+        "ACMAES",
+        "RCMAES",
+        "BIPOP_aCMAES",
+        "DA",
+        "NelderMead",
+        "L_BFGS_B",
+    ] = "ARRDE"
+    population: Annotated[int, Ge(4)] | None = None
+    horizon: Annotated[int, Ge(1)] = 100_000
+
+    info: ClassVar[SolverInfo] = SolverInfo(
+        batched=True,
+        reference="Muzakka (MinionPy); ARRDE: Muzakka et al. 2025",
+        extra="minionpy",
+        requires=("minionpy",),
+    )
+
+    def warm_up(self) -> None:
+        import minionpy  # noqa: F401
+
+    def minimize(self, problem: MeteredProblem, rng: np.random.Generator) -> None:
+        from minionpy import Minimizer
+
+        n = problem.dimension
+        stop, finite = Stop(), Finite(start=0.0)
+
+        def objective(points: list[list[float]]) -> list[float]:
+            return finite.many(problem.evaluate(from_unit(problem, np.array(points)))).tolist()
+
+        stop.run(
+            Minimizer(
+                stop.guard(objective),
+                [(0.0, 1.0)] * n,
+                x0=[rng.random(n).tolist()],
+                algo=self.algorithm,
+                maxevals=planned(problem, self.horizon),
+                seed=int(rng.integers(2**31 - 1)),
+                options=None if self.population is None else {"population_size": self.population},
+            ).optimize
+        )

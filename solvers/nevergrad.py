@@ -1,0 +1,83 @@
+"""Every optimizer of Nevergrad's registry."""
+
+from __future__ import annotations
+
+import contextlib
+import difflib
+import importlib.util
+import warnings
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any, ClassVar
+
+import numpy as np
+
+from nfbench import Ge, MeteredProblem, OptionError, Solver, SolverInfo
+
+from .finite import Finite
+from .wrapped import from_unit, planned
+
+__all__ = ["Nevergrad"]
+
+
+@dataclass(frozen=True)
+class Nevergrad(Solver):
+    """An optimizer of Nevergrad, in the unit box, point by point, until the budget ends.
+
+    Many of them choose their method by the budget and the number of unknowns. A point costs Nevergrad a tenth of a
+    millisecond and more, and those with a surrogate ("BO", "MetaModel" …) far more the more points there were.
+
+    algorithm: a name in ``nevergrad.optimizers.registry``: "NGOpt", "DE", "TwoPointsDE", "PSO", "OnePlusOne", "CMA" …
+    horizon: evaluations to plan for where the budget does not count them.
+    """
+
+    algorithm: str = "CMA"
+    horizon: Annotated[int, Ge(1)] = 100_000
+
+    info: ClassVar[SolverInfo] = SolverInfo(
+        reference="Rapin & Teytaud 2018 (Nevergrad); Bennet et al. 2021, doi:10.1145/3460310.3460312",
+        extra="nevergrad",
+        requires=("nevergrad",),
+    )
+
+    def validate(self) -> None:
+        if importlib.util.find_spec("nevergrad") is None:
+            return  # whoever wants to use it is told so
+        known = _registry()
+        if self.algorithm not in known:
+            near = difflib.get_close_matches(self.algorithm, known, n=3)
+            hint = f"; did you mean {' or '.join(near)}?" if near else "; e.g. NGOpt, DE, PSO, OnePlusOne, CMA"
+            text = f"expected an optimizer of Nevergrad, got {self.algorithm!r}{hint}"
+            raise OptionError(type(self).__name__, [("algorithm", text)])
+
+    def warm_up(self) -> None:
+        _registry()
+
+    def minimize(self, problem: MeteredProblem, rng: np.random.Generator) -> None:
+        from nevergrad.parametrization.parameter import Array
+
+        finite = Finite(start=0.0)
+        box = Array(init=rng.random(problem.dimension), lower=0.0, upper=1.0)
+        box.random_state = np.random.RandomState(int(rng.integers(2**31 - 1)))  # Nevergrad's own kind
+        optimizer = _registry()[self.algorithm](box, budget=planned(problem, self.horizon))
+        while problem.remaining:
+            with _quiet():
+                candidate = optimizer.ask()
+            value = finite.one(problem(from_unit(problem, candidate.value)))
+            with _quiet():
+                optimizer.tell(candidate, value)
+
+
+def _registry() -> Mapping[str, Any]:
+    """The optimizers by name."""
+    with _quiet():
+        from nevergrad.optimization import registry
+    return dict(registry)
+
+
+@contextlib.contextmanager
+def _quiet() -> Iterator[None]:
+    """Without Nevergrad's advice on settings that it holds for inefficient."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        yield

@@ -1,0 +1,117 @@
+"""Population-based and direct-search algorithms of pygmo (pagmo)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Any, ClassVar, Literal, final
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from nfbench import Ge, Incompatible, MeteredProblem, Solver, SolverInfo
+
+from .finite import Finite
+from .wrapped import from_unit, planned
+
+__all__ = ["Pygmo"]
+
+COUNT_MAX = 2**31 - 1
+ANTS = 63  # gaco draws from a kernel of that many individuals
+TOLERANT = ("cmaes", "de", "de1220", "sade", "xnes")  # would end when the population has contracted
+
+
+@dataclass(frozen=True)
+class Pygmo(Solver):
+    """An algorithm of pygmo, in the unit box, from a uniform random population, until the budget ends.
+
+    Its stops by tolerance are off. simulated_annealing and compass_search improve the best individual again and again,
+    and end when that leads no further; compass_search searches locally.
+
+    algorithm: by pygmo's name.
+    population: individuals.
+    horizon: evaluations to plan for where the budget does not count them (ihs changes its parameters with them).
+    """
+
+    algorithm: Literal[
+        "bee_colony",
+        "cmaes",
+        "compass_search",
+        "de",
+        "de1220",
+        "gaco",
+        "gwo",
+        "ihs",
+        "pso",
+        "pso_gen",
+        "sade",
+        "sea",
+        "sga",
+        "simulated_annealing",
+        "xnes",
+    ] = "sade"
+    population: Annotated[int, Ge(8)] = 64
+    horizon: Annotated[int, Ge(1)] = 100_000
+
+    info: ClassVar[SolverInfo] = SolverInfo(
+        reference="Biscani & Izzo 2020, doi:10.21105/joss.02338; jDE: Brest et al. 2006, doi:10.1109/TEVC.2006.872133",
+        extra="pygmo",
+        requires=("pygmo",),
+    )
+
+    def warm_up(self) -> None:
+        import pygmo  # noqa: F401
+
+    def minimize(self, problem: MeteredProblem, rng: np.random.Generator) -> None:
+        import pygmo
+
+        seeds = rng.integers(2**31 - 1, size=2).tolist()
+        user_algorithm = getattr(pygmo, self.algorithm)(**self.settings(problem, seeds[0]))
+        whole = hasattr(user_algorithm, "set_bfe")  # it can have a generation evaluated at once
+        evaluator = pygmo.bfe(pygmo.member_bfe())
+        if whole:
+            user_algorithm.set_bfe(evaluator)
+        algorithm = pygmo.algorithm(user_algorithm)
+        population = pygmo.population(pygmo.problem(_Box(problem)), self.population, b=evaluator, seed=seeds[1])
+        before = -1
+        while before < problem.evaluations:
+            before = problem.evaluations
+            population = algorithm.evolve(population)
+
+    def settings(self, problem: MeteredProblem, seed: int) -> dict[str, Any]:
+        """What the algorithm is constructed with."""
+        budget = min(planned(problem, self.horizon), COUNT_MAX)
+        if self.algorithm == "compass_search":
+            return {"max_fevals": budget, "stop_range": 1e-12}
+        if self.algorithm == "simulated_annealing":
+            return {"seed": seed}
+        if self.algorithm == "gaco" and self.population < ANTS:
+            raise Incompatible(f"population: expected at least {ANTS} for gaco, got {self.population}")
+        settings: dict[str, Any] = {"gen": budget, "seed": seed}
+        if self.algorithm in TOLERANT:
+            settings |= {"ftol": 0.0, "xtol": 0.0}
+        if self.algorithm in ("cmaes", "xnes"):
+            settings["force_bounds"] = True
+        return settings
+
+
+@final
+class _Box:
+    """The problem as pygmo wants it; copies, which pygmo makes, are the same meter."""
+
+    def __init__(self, problem: MeteredProblem) -> None:
+        self.problem = problem
+        self.finite = Finite(start=0.0)
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> _Box:
+        return self
+
+    def get_bounds(self) -> tuple[list[float], list[float]]:
+        return [0.0] * self.problem.dimension, [1.0] * self.problem.dimension
+
+    def fitness(self, u: Float[ndarray, " n"]) -> list[float]:
+        return [self.finite.one(self.problem(from_unit(self.problem, u)))]
+
+    def batch_fitness(self, points: Float[ndarray, " pn"]) -> Float[ndarray, " p"]:
+        U = points.reshape(-1, self.problem.dimension)
+        return self.finite.many(self.problem.evaluate(from_unit(self.problem, U)))

@@ -1,0 +1,105 @@
+"""Single-objective algorithms of pymoo."""
+
+from __future__ import annotations
+
+import importlib
+from dataclasses import dataclass
+from typing import Annotated, Any, ClassVar, Literal
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from nfbench import Ge, MeteredProblem, Solver, SolverInfo
+
+from .finite import Finite
+from .wrapped import from_unit
+
+__all__ = ["Pymoo"]
+
+WITH_POPULATION = ("DE", "GA", "NicheGA", "PSO", "EPPSO", "G3PCX", "NRBO", "BRKGA")
+WITH_OFFSPRING = ("ES", "SRES", "ISRES")
+MODULES = {
+    "DE": "de",
+    "GA": "ga",
+    "NicheGA": "ga_niching",
+    "PSO": "pso",
+    "EPPSO": "pso_ep",
+    "ES": "es",
+    "SRES": "sres",
+    "ISRES": "isres",
+    "G3PCX": "g3pcx",
+    "NRBO": "nrbo",
+    "CMAES": "cmaes",
+    "BIPOPCMAES": "cmaes",
+    "DIRECT": "direct",
+    "NelderMead": "nelder",
+    "PatternSearch": "pattern",
+}
+
+
+@dataclass(frozen=True)
+class Pymoo(Solver):
+    """A single-objective algorithm of pymoo, in the unit box, until the budget or the algorithm ends.
+
+    algorithm: by pymoo's name, with pymoo's defaults. NelderMead and PatternSearch search locally.
+    population: individuals, in ES, SRES and ISRES offspring, of the algorithms that have them; None: pymoo's choice.
+    """
+
+    algorithm: Literal[
+        "DE",
+        "GA",
+        "NicheGA",
+        "PSO",
+        "EPPSO",
+        "ES",
+        "SRES",
+        "ISRES",
+        "G3PCX",
+        "NRBO",
+        "CMAES",
+        "BIPOPCMAES",
+        "DIRECT",
+        "NelderMead",
+        "PatternSearch",
+    ] = "DE"
+    population: Annotated[int, Ge(8)] | None = None
+
+    info: ClassVar[SolverInfo] = SolverInfo(
+        batched=True,
+        reference="Blank & Deb 2020, doi:10.1109/ACCESS.2020.2990567",
+        extra="pymoo",
+        requires=("pymoo",),
+    )
+
+    def validate(self) -> None:
+        if self.population is not None and self.algorithm not in (*WITH_POPULATION, *WITH_OFFSPRING):
+            raise ValueError(f"population: expected none, as {self.algorithm} has no population, got {self.population}")
+
+    def warm_up(self) -> None:
+        self.load()
+
+    def load(self) -> Any:
+        """The algorithm's class."""
+        module = importlib.import_module(f"pymoo.algorithms.soo.nonconvex.{MODULES[self.algorithm]}")
+        return getattr(module, self.algorithm)
+
+    def minimize(self, problem: MeteredProblem, rng: np.random.Generator) -> None:
+        from pymoo.core.problem import Problem
+        from pymoo.core.termination import NoTermination
+
+        finite = Finite(start=0.0)
+
+        class Box(Problem):  # type: ignore[misc]  # pymoo has no types
+            def _evaluate(self, U: Float[ndarray, "p n"], out: dict[str, Any], *_: Any, **__: Any) -> None:
+                out["F"] = finite.many(problem.evaluate(from_unit(problem, U)))[:, None]
+
+        settings: dict[str, Any] = {}
+        if self.population is not None:
+            settings["n_offsprings" if self.algorithm in WITH_OFFSPRING else "pop_size"] = self.population
+        algorithm = self.load()(**settings)
+        box = Box(n_var=problem.dimension, n_obj=1, xl=0.0, xu=1.0)
+        algorithm.setup(box, termination=NoTermination(), seed=int(rng.integers(2**31 - 1)), verbose=False)
+        with np.errstate(all="ignore"):
+            while algorithm.has_next():
+                algorithm.next()
