@@ -15,30 +15,70 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from .errors import PluginError
-from .options import OneOf, Options, build, canonical
+from .errors import OptionError, PluginError
+from .groups import GROUPS
+from .options import OneOf, Options, canonical, suggest
 from .registry import Registry
-from .solver import Solver
+from .solver import Solver, SolverInfo
 
-__all__ = ["print_catalogue", "print_plugin", "solvers_named"]
+__all__ = ["Filter", "print_catalogue", "print_plugin", "solvers_named"]
 
 
-def print_catalogue(registry: Registry, kinds: Iterable[str], console: Console) -> None:
-    """One table a kind; a plugin that fails to import is listed with its error."""
+@dataclasses.dataclass(frozen=True)
+class Filter:
+    """Which solvers to list; None: whatever.
+
+    group: a name in GROUPS. needs_gradient, batched, stochastic: as in SolverInfo. uninstalled: also those whose
+    extra is not installed.
+    """
+
+    group: str | None = None
+    needs_gradient: bool | None = None
+    batched: bool | None = None
+    stochastic: bool | None = None
+    uninstalled: bool = False
+
+    def __post_init__(self) -> None:
+        if self.group is not None and self.group not in GROUPS:
+            raise OptionError("list", [("--group", f"unknown group {self.group!r}{suggest(self.group, GROUPS)}")])
+
+    def admits(self, info: SolverInfo) -> bool:
+        asked = (
+            (self.needs_gradient, info.needs_gradient),
+            (self.batched, info.batched),
+            (self.stochastic, info.stochastic),
+        )
+        return GROUPS[self.group or "all"](info) and all(want in (None, has) for want, has in asked)
+
+
+def print_catalogue(registry: Registry, kinds: Iterable[str], console: Console, chosen: Filter | None = None) -> None:
+    """One table a kind, of the solvers those ``chosen``; a plugin that fails to import is listed with its error."""
+    chosen = chosen or Filter()
     for kind in kinds:
         table = Table(title=f"{kind}s", title_justify="left", title_style="bold")
         for head in _HEADS[kind]:
             table.add_column(head, overflow="fold")
+        hidden = 0
         for name in registry.names(kind):
             plugin = registry.find(kind, name)
+            missing = None
             try:
-                cells = _row(kind, plugin.resolve())
+                cls = plugin.resolve()
+                missing = plugin.missing()
+                cells = _row(kind, cls, missing)
+                if issubclass(cls, Solver) and not chosen.admits(cls.info):
+                    continue
             except PluginError as error:
-                cells = [f"[red]{error}[/red]"]
+                cells = [f"[red]{escape(str(error))}[/red]"]
+            if missing and not chosen.uninstalled:
+                hidden += 1
+                continue
             table.add_row(name, *cells)
         console.print(table)
+        if hidden:
+            console.print(f"{hidden} more wrap libraries that are not installed: nfbench list {kind}s --all")
     for file, why in registry.broken.items():
-        console.print(f"[red]{file.name} is left out: {why}[/red]")
+        console.print(f"[red]{file.name} is left out: {escape(why)}[/red]")
 
 
 def print_plugin(registry: Registry, kind: str, name: str, console: Console) -> None:
@@ -50,8 +90,11 @@ def print_plugin(registry: Registry, kind: str, name: str, console: Console) -> 
     if issubclass(cls, Solver):
         for field in dataclasses.fields(cls.info):
             value = getattr(cls.info, field.name)
-            if value not in ("", None):
+            if value not in ("", None, ()):
+                value = ", ".join(value) if isinstance(value, tuple) else value
                 console.print(f"  {field.name}: {value}", markup=False)
+    if missing := plugin.missing():
+        console.print(f"\n{name} {missing}", markup=False, style="yellow", soft_wrap=True)
     _print_options("options", cls, console)
     for name, hint in typing.get_type_hints(cls, include_extras=True).items():
         for mark in _marks(hint):
@@ -74,7 +117,7 @@ def solvers_named(name: str, plugins: Iterable[Path] = ()) -> Iterator[tuple[str
         if not names:
             raise PluginError(f"{name}: expected a class derived from nfbench.Solver, found none")
     for solver in names:
-        yield solver, typing.cast(Solver, build(registry.find("solver", solver).resolve(), {}))
+        yield solver, typing.cast(Solver, registry.make("solver", solver, {}))
 
 
 def _print_options(title: str, cls: type, console: Console) -> None:
@@ -90,21 +133,22 @@ def _print_options(title: str, cls: type, console: Console) -> None:
 
 
 _HEADS = {
-    "solver": ("name", "search", "points", "random", "gradient", "reference"),
+    "solver": ("name", "search", "points", "random", "gradient", "extra", "reference"),
     "formulation": ("name", "needs a solver", "what it is"),
     "scenario": ("name", "ranked by", "what it is"),
 }
 
 
-def _row(kind: str, cls: Any) -> list[str]:
+def _row(kind: str, cls: Any, missing: str | None) -> list[str]:
     if kind == "solver":
         info = cls.info
         return [
             "global" if info.global_search else "local",
             "batch" if info.batched else "single",
             "yes" if info.stochastic else "no",
-            "needed" if info.needs_gradient else "no",
-            info.reference,
+            "needed" if info.needs_gradient else "used" if info.uses_gradient else "no",
+            f"{info.extra or ''}{' (not installed)' if missing else ''}".strip(),
+            escape(info.reference),
         ]
     return [("yes" if cls.needs_solver else "no") if kind == "formulation" else cls.error, _doc(cls).partition("\n")[0]]
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import Any
 
 from .errors import MissingExtra, OptionError, PluginError
+from .groups import members
 from .options import Options, canonical
 from .registry import Registry
 from .study import Choice, digest
@@ -39,6 +40,7 @@ class Chooser:
     def __init__(self, registry: Registry, problems: Problems) -> None:
         self.registry = registry
         self.problems = problems
+        self.warnings: list[str] = []
         self._pool: dict[str, dict[str, Choice]] = {"scenario": {}, "formulation": {}, "solver": {}}
 
     def choose(
@@ -81,6 +83,20 @@ class Chooser:
             return self._keep(kind, Choice(name, label, canonical(options), plugin.version, str(error))), None
         plain = {key: value for key, value in canonical(made).items() if key != "kind"}
         return self._keep(kind, Choice(name, label, plain, plugin.version)), made
+
+    def group(self, table: Mapping[str, Any], path: str) -> list[tuple[Choice, Options | None]]:
+        """The choices that ``{group = …, exclude = […]}`` stands for; none, with the problems noted, if it is wrong."""
+        if "kind" in table:
+            self.problems.add(path, f"expected a kind or a group, got both: {table['kind']!r} and {table['group']!r}")
+            return []
+        try:
+            names, left_out = members(self.registry, dict(table))
+        except OptionError as error:
+            self.problems.of(path, error)
+            return []
+        self.warnings += [text for text in left_out if text not in self.warnings]
+        chosen = [self.choose("solver", {"kind": name}, f"{path}.group: {name}") for name in names]
+        return [choice for choice in chosen if choice]
 
     def labelled(self, kind: str, choice: Choice) -> Choice:
         """The choice with its final label: its own, or its kind, made unique by the options that differ."""

@@ -37,6 +37,13 @@ class Kind(StrEnum):
     SCENARIOS = "scenarios"
 
 
+class YesNo(StrEnum):
+    """The answer to a question about a solver."""
+
+    YES = "yes"
+    NO = "no"
+
+
 class One(StrEnum):
     """What ``nfbench show`` can show."""
 
@@ -264,13 +271,27 @@ def figure(
 def list_plugins(
     kind: Annotated[Kind | None, typer.Argument(metavar="[solvers|formulations|scenarios]")] = None,
     plugin: Plugins = None,
+    group: Annotated[str | None, typer.Option(help="Only solvers of this group, e.g. global, derivative-free.")] = None,
+    needs_gradient: Annotated[YesNo | None, typer.Option(help="Only solvers that need a gradient, or do not.")] = None,
+    batched: Annotated[YesNo | None, typer.Option(help="Only solvers that evaluate in batches, or do not.")] = None,
+    stochastic: Annotated[YesNo | None, typer.Option(help="Only solvers that are random, or are not.")] = None,
+    every: Annotated[bool, typer.Option("--all/--installed", help="Also solvers whose extra is missing.")] = False,
 ) -> None:
     """List what is registered, and what failed to import."""
-    from .catalogue import print_catalogue
+    from .catalogue import Filter, print_catalogue
     from .registry import Registry
 
-    kinds = [kind] if kind else list(Kind)
-    print_catalogue(Registry(plugin or ()), [k.removesuffix("s") for k in kinds], _console())
+    asked = {"needs_gradient": needs_gradient, "batched": batched, "stochastic": stochastic}
+    filtered = group is not None or any(value is not None for value in asked.values())
+    if filtered and kind not in (None, Kind.SOLVERS):
+        raise typer.BadParameter(f"expected solvers, as only they are told apart so, got {kind}", param_hint="KIND")
+    chosen = Filter(
+        group=group,
+        uninstalled=every,
+        **{name: None if value is None else value is YesNo.YES for name, value in asked.items()},
+    )
+    kinds = [kind] if kind else [Kind.SOLVERS] if filtered else list(Kind)
+    print_catalogue(Registry(plugin or ()), [k.removesuffix("s") for k in kinds], _console(), chosen)
 
 
 @app.command()

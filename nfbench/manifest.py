@@ -161,7 +161,10 @@ def _study(table: Table, text: str, folder: Path, extra: tuple[str | Path, ...],
         outlier_m=summary.outlier_m,
         plugins=tuple(str(file) for file in registry.files),
         manifest=text,
-        warnings=tuple(f"plugin {file.name} is left out: {why}" for file, why in registry.broken.items()),
+        warnings=(
+            *(f"plugin {file.name} is left out: {why}" for file, why in registry.broken.items()),
+            *chooser.warnings,
+        ),
     )
 
 
@@ -287,10 +290,19 @@ def _methods(manifest: Manifest, chooser: Chooser, scenario: Scenario | None, pr
         for i, table in enumerate(manifest.formulation)
     ]
     solvers = [
-        (f"solver[{i}]", chooser.choose("solver", table, f"solver[{i}]")) for i, table in enumerate(manifest.solver)
+        (f"solver[{i}]", chooser.choose("solver", table, f"solver[{i}]"))
+        for i, table in enumerate(manifest.solver)
+        if "group" not in table
     ]
     _no_twins(formulations, problems)
     _no_twins(solvers, problems)
+    named = {digest(solver[0].identity) for _, solver in solvers if solver}
+    for i, table in enumerate(manifest.solver):
+        if "group" in table:  # less what is named itself, or is in a group before
+            for member in chooser.group(table, f"solver[{i}]"):
+                if (identity := digest(member[0].identity)) not in named:
+                    named.add(identity)
+                    solvers.append((f"solver[{i}]", member))
     pairs: list[_Pair] = []
     for (path, formulation), limits in zip(formulations, own_limits, strict=True):
         if formulation is None:
@@ -302,9 +314,7 @@ def _methods(manifest: Manifest, chooser: Chooser, scenario: Scenario | None, pr
         else:
             pairs.append(_Pair(path, formulation, None, limits))
     for i, table in enumerate(manifest.method):
-        pair = _own_pair(f"method[{i}]", table, manifest, chooser, problems)
-        if pair:
-            pairs.append(pair)
+        pairs += _own_pairs(f"method[{i}]", table, manifest, chooser, problems)
     if not manifest.formulation and not manifest.method:
         problems.add("formulation", "expected at least one [[formulation]] or [[method]], got none")
     elif manifest.solver and not manifest.formulation:
@@ -334,22 +344,28 @@ class _Pair:
             problems.add("budget", "is required: give evaluations or seconds")
 
 
-def _own_pair(path: str, table: Table, manifest: Manifest, chooser: Chooser, problems: Problems) -> _Pair | None:
-    """A ``[[method]]`` entry; its formulation and solver are names or tables."""
+def _own_pairs(path: str, table: Table, manifest: Manifest, chooser: Chooser, problems: Problems) -> list[_Pair]:
+    """A ``[[method]]`` entry; its formulation and solver are names or tables. One pair, or one for each of a group."""
     try:
         method = build(MethodTable, table)
     except OptionError as error:
         problems.of(path, error)
-        return None
+        return []
     limits = _limits(manifest, method.budget, f"{path}.budget", problems)
     formulation = chooser.choose("formulation", _named(method.formulation), f"{path}.formulation")
-    solver = method.solver and chooser.choose("solver", _named(method.solver), f"{path}.solver")
-    if formulation is None or (method.solver and solver is None):
-        return None
-    if _needs_solver(formulation) != bool(solver):
-        needs = "needs a solver, got none" if not solver else "needs no solver, got one"
+    solvers: list[tuple[Choice, Options | None] | None] = [None]
+    if isinstance(method.solver, dict) and "group" in method.solver:
+        solvers = [*chooser.group(method.solver, f"{path}.solver")]
+        if method.label:
+            problems.add(f"{path}.label", f"expected none, as its solver is a group, got {method.label!r}")
+    elif method.solver:
+        solvers = [chooser.choose("solver", _named(method.solver), f"{path}.solver")]
+    if formulation is None or (method.solver and None in solvers):
+        return []
+    if _needs_solver(formulation) != bool(method.solver):
+        needs = "needs a solver, got none" if not method.solver else "needs no solver, got one"
         problems.add(f"{path}.solver", f"{formulation[0].kind} {needs}")
-    return _Pair(path, formulation, solver or None, limits, method.label)
+    return [_Pair(path, formulation, solver, limits, method.label) for solver in solvers]
 
 
 def _limits(manifest: Manifest, own: Any, path: str, problems: Problems) -> Limits:

@@ -21,7 +21,8 @@ class SolverInfo:
     """What a solver is, as data: tests, tables and manifests select by these, never by name.
 
     stochastic: uses the generator it is given. batched: evaluates many points at a time.
-    needs_gradient: works only where ``problem.has_gradient``. global_search: looks beyond one basin.
+    needs_gradient: works only where ``problem.has_gradient``; uses_gradient: takes it where there is one.
+    global_search: looks beyond one basin.
     converges: drives its best point to high precision (false: samples, like random search).
     reference: authors, year and DOI of the algorithm. requires: modules it imports when it runs, beyond what its
     package always installs; extra: the optional extra of that package that installs them.
@@ -30,6 +31,7 @@ class SolverInfo:
     stochastic: bool = True
     batched: bool = False
     needs_gradient: bool = False
+    uses_gradient: bool = False
     global_search: bool = True
     converges: bool = True
     reference: str = ""

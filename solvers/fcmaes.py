@@ -35,7 +35,7 @@ class Fcmaes(AskTellSolver):
 
     info: ClassVar[SolverInfo] = SolverInfo(
         batched=True,
-        reference="Wolz (fcmaes); CR-FM-NES: Nomura & Ono 2022, doi:10.1109/CEC55065.2022.9870206",
+        reference="Wolz (fcmaes); CR-FM-NES: Nomura & Ono 2022",
         extra="fcmaes",
         requires=("fcmaes",),
     )

@@ -20,9 +20,9 @@ class MinionPy(Solver):
     """An algorithm of MinionPy (C++), in the unit box. It ends when the library takes it for converged.
 
     The library plans for the whole budget: most of its algorithms shrink their population towards its end. RDEX and
-    L_BFGS are left out, as they leave the box.
+    RCMAES are left out, as they leave the box; DA and L_BFGS_B print when they are stopped, and SciPy's are here.
 
-    algorithm: by MinionPy's name. NelderMead and L_BFGS_B (gradients by differences) search locally.
+    algorithm: by MinionPy's name. NelderMead searches locally.
     population: individuals at the start; None: the library's choice.
     horizon: evaluations to plan for where the budget does not count them.
     """
@@ -45,18 +45,15 @@ class MinionPy(Solver):
         "DMSPSO",
         "CMAES",
         "ACMAES",
-        "RCMAES",
         "BIPOP_aCMAES",
-        "DA",
         "NelderMead",
-        "L_BFGS_B",
     ] = "ARRDE"
     population: Annotated[int, Ge(4)] | None = None
     horizon: Annotated[int, Ge(1)] = 100_000
 
     info: ClassVar[SolverInfo] = SolverInfo(
         batched=True,
-        reference="Muzakka (MinionPy); ARRDE: Muzakka et al. 2025",
+        reference="Muzakka (MinionPy); L-SHADE: Tanabe & Fukunaga 2014, doi:10.1109/CEC.2014.6900380",
         extra="minionpy",
         requires=("minionpy",),
     )

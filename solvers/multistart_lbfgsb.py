@@ -36,7 +36,7 @@ class MultistartLBFGSB(Solver):
     gtol: Annotated[float, Ge(0.0)] = 1e-8
 
     info: ClassVar[SolverInfo] = SolverInfo(
-        batched=True, reference="Zhu, Byrd, Lu & Nocedal 1997, doi:10.1145/279232.279236"
+        batched=True, uses_gradient=True, reference="Zhu, Byrd, Lu & Nocedal 1997, doi:10.1145/279232.279236"
     )
 
     def minimize(self, problem: MeteredProblem, rng: np.random.Generator) -> None:

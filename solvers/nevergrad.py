@@ -15,7 +15,7 @@ import numpy as np
 from nfbench import Ge, MeteredProblem, OptionError, Solver, SolverInfo
 
 from .finite import Finite
-from .wrapped import from_unit, planned
+from .wrapped import from_unit, global_random, planned
 
 __all__ = ["Nevergrad"]
 
@@ -57,15 +57,18 @@ class Nevergrad(Solver):
         from nevergrad.parametrization.parameter import Array
 
         finite = Finite(start=0.0)
-        box = Array(init=rng.random(problem.dimension), lower=0.0, upper=1.0)
-        box.random_state = np.random.RandomState(int(rng.integers(2**31 - 1)))  # Nevergrad's own kind
-        optimizer = _registry()[self.algorithm](box, budget=planned(problem, self.horizon))
-        while problem.remaining:
+        seeds = rng.integers(2**31 - 1, size=2).tolist()
+        with global_random(seeds[0]):  # some of the optimizers draw from NumPy's
+            box = Array(init=rng.random(problem.dimension), lower=0.0, upper=1.0)
+            box.random_state = np.random.RandomState(seeds[1])  # Nevergrad's own kind
             with _quiet():
-                candidate = optimizer.ask()
-            value = finite.one(problem(from_unit(problem, candidate.value)))
-            with _quiet():
-                optimizer.tell(candidate, value)
+                optimizer = _registry()[self.algorithm](box, budget=planned(problem, self.horizon))
+            while problem.remaining:
+                with _quiet():
+                    candidate = optimizer.ask()
+                value = finite.one(problem(from_unit(problem, candidate.value)))
+                with _quiet():
+                    optimizer.tell(candidate, value)
 
 
 def _registry() -> Mapping[str, Any]:
@@ -77,7 +80,7 @@ def _registry() -> Mapping[str, Any]:
 
 @contextlib.contextmanager
 def _quiet() -> Iterator[None]:
-    """Without Nevergrad's advice on settings that it holds for inefficient."""
-    with warnings.catch_warnings():
+    """Without Nevergrad's advice on settings that it holds for inefficient, and NumPy's warnings."""
+    with warnings.catch_warnings(), np.errstate(all="ignore"):
         warnings.simplefilter("ignore")
         yield

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
+import random
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any, TypeVar, final
 
 import numpy as np
@@ -12,7 +14,7 @@ from numpy import ndarray
 
 from nfbench import MeteredProblem
 
-__all__ = ["Stop", "from_unit", "planned"]
+__all__ = ["Stop", "from_unit", "global_random", "planned"]
 
 ROUNDING = 1e-9  # in widths of the box; a library that leaves it by more did not keep its bounds
 
@@ -32,6 +34,19 @@ def from_unit(problem: MeteredProblem, U: Float[ndarray, "*p n"]) -> Float[ndarr
 def planned(problem: MeteredProblem, horizon: int) -> int:
     """The evaluations a library may plan for: what is left of the budget or, where time alone ends it, ``horizon``."""
     return problem.remaining if problem.remaining < sys.maxsize // 2 else horizon
+
+
+@contextlib.contextmanager
+def global_random(seed: int) -> Iterator[None]:
+    """For a library that draws from the global generators: seeded within this context, and left as they were found."""
+    states = random.getstate(), np.random.get_state()  # noqa: NPY002
+    random.seed(seed)
+    np.random.seed(seed)  # noqa: NPY002
+    try:
+        yield
+    finally:
+        random.setstate(states[0])
+        np.random.set_state(states[1])  # noqa: NPY002
 
 
 @final
