@@ -7,8 +7,7 @@ import inspect
 import math
 import re
 import typing
-from collections.abc import Iterable, Iterator
-from pathlib import Path
+from collections.abc import Iterable
 from typing import Any
 
 from rich.console import Console
@@ -21,7 +20,7 @@ from .options import OneOf, Options, canonical, suggest
 from .registry import Registry
 from .solver import Solver, SolverInfo
 
-__all__ = ["Filter", "print_catalogue", "print_plugin", "solvers_named"]
+__all__ = ["Filter", "print_catalogue", "print_plugin"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -103,21 +102,6 @@ def print_plugin(registry: Registry, kind: str, name: str, console: Console) -> 
                     _print_options(f'{name} = {{ kind = "{kind_}", … }}', choice, console)
         if _is_table(hint):
             _print_options(f"{name} = {{ … }}", hint, console)
-
-
-def solvers_named(name: str, plugins: Iterable[Path] = ()) -> Iterator[tuple[str, Solver]]:
-    """The solver of that registered name, or all in that plugin file, with default options."""
-    is_file = name.endswith(".py") or Path(name).is_file()
-    registry = Registry([*plugins, name] if is_file else plugins)
-    for file, why in registry.broken.items():
-        raise PluginError(f"plugin {file.name} failed to import: {why}")
-    names = [name]
-    if is_file:
-        names = [n for n in registry.names("solver") if registry.find("solver", n).origin == Path(name).name]
-        if not names:
-            raise PluginError(f"{name}: expected a class derived from nfbench.Solver, found none")
-    for solver in names:
-        yield solver, typing.cast(Solver, registry.make("solver", solver, {}))
 
 
 def _print_options(title: str, cls: type, console: Console) -> None:

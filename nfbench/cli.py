@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import os
 import sys
+import tomllib
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 from rich.console import Console
@@ -22,10 +23,16 @@ app = typer.Typer(
 )
 check_app = typer.Typer(no_args_is_help=True, help="Run the conformance checks on a plugin.")
 app.add_typer(check_app, name="check")
+new_app = typer.Typer(no_args_is_help=True, help="Write a plugin file that works, to make your own of.")
+app.add_typer(new_app, name="new")
 
 OK, NOT_ALL_OK, USAGE, INTERRUPTED = 0, 1, 2, 130
 
 Plugins = Annotated[list[Path] | None, typer.Option("--plugin", help="A plugin file; may be given more than once.")]
+GivenOptions = Annotated[list[str] | None, typer.Option("--option", metavar="NAME=VALUE", help="An option of it.")]
+Timeout = Annotated[float, typer.Option(min=0.1, help="What one check may take at most [s].")]
+NewName = Annotated[str, typer.Argument(metavar="NAME", help="Its name in manifests, e.g. my-solver.")]
+Out = Annotated[Path | None, typer.Option(metavar="FILE", help="Where to write it (default: its name with .py).")]
 Folder = Annotated[Path, typer.Argument(metavar="DIR", help="A results folder, e.g. results/quickstart.")]
 
 
@@ -311,17 +318,73 @@ def show(
 def check_solver(
     solver: Annotated[str, typer.Argument(metavar="NAME|FILE", help="A registered name, or a plugin file.")],
     plugin: Plugins = None,
+    option: GivenOptions = None,
+    timeout: Timeout = 120.0,
 ) -> None:
     """Check that a solver keeps its contract: bounds, budget, seeds, robustness, accuracy."""
-    from .catalogue import solvers_named
-    from .testing import solver_checks
+    if solver.endswith(".toml"):
+        raise typer.BadParameter(f"expected a solver's name or a plugin file, got {solver}", param_hint="NAME|FILE")
+    _check("solver", solver, plugin, option, timeout)
 
+
+@check_app.command("problem")
+def check_problem(
+    scenario: Annotated[
+        str, typer.Argument(metavar="NAME|FILE", help="A registered scenario, a plugin file, or a manifest.")
+    ],
+    plugin: Plugins = None,
+    option: GivenOptions = None,
+    timeout: Timeout = 120.0,
+) -> None:
+    """Check that a scenario and the problems made of it keep their contracts: seeds, scores, boxes, gradients."""
+    _check("scenario", scenario, plugin, option, timeout)
+
+
+def _check(kind: str, name: str, plugin: list[Path] | None, given: list[str] | None, timeout: float) -> None:
+    from .errors import OptionError
+    from .testing.watch import jobs, watched_checks
+
+    options = dict(_option(text) for text in given or ())
+    try:
+        wanted = list(jobs(kind, name, plugin or (), options))
+    except OptionError as error:
+        hint = "; give it by --option NAME=VALUE" if "is required" in str(error) else ""
+        raise NfbenchError(f"{error}{hint}") from error
     passed = True
-    for name, made in solvers_named(solver, plugin or ()):
-        typer.echo(f"{name}")
-        for result in solver_checks(made):
+    for job in wanted:
+        typer.echo(job.name)
+        for result in watched_checks(job, timeout):
             passed &= result.passed
-            typer.echo(
-                f"  {'ok  ' if result.passed else 'FAIL'} {result.name}{': ' if result.message else ''}{result.message}"
-            )
+            told = f"{': ' if result.message else ''}{result.message}"
+            typer.echo(f"  {'ok  ' if result.passed else 'FAIL'} {result.name}{told}")
     raise typer.Exit(OK if passed else NOT_ALL_OK)
+
+
+def _option(text: str) -> tuple[str, Any]:
+    """``population=50``, the value as a manifest has it; what is no TOML is text."""
+    name, sign, value = text.partition("=")
+    if not sign or not name:
+        raise typer.BadParameter(f"expected NAME=VALUE, e.g. population=50, got {text!r}", param_hint="--option")
+    try:
+        return name, tomllib.loads(f"value = {value}")["value"]
+    except tomllib.TOMLDecodeError:
+        return name, value
+
+
+@new_app.command("solver")
+def new_solver(name: NewName, out: Out = None) -> None:
+    """Write a small solver that works, with its test, to make your own of."""
+    _new("solver", name, out)
+
+
+@new_app.command("problem")
+def new_problem(name: NewName, out: Out = None) -> None:
+    """Write a small scenario that works, with its problem and its test, to make your own of."""
+    _new("problem", name, out)
+
+
+def _new(kind: str, name: str, out: Path | None) -> None:
+    from .scaffold import write
+
+    file, test = write(kind, name, out)
+    typer.echo(f"Wrote {file} and {test}. Next:\n  nfbench check {kind} {file}\n  pytest {test}")

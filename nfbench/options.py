@@ -16,6 +16,7 @@ import contextvars
 import dataclasses
 import difflib
 import functools
+import inspect
 import typing
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
@@ -75,6 +76,9 @@ def build(cls: type[T], options: Mapping[str, Any]) -> T:
     Raises OptionError with every problem at once: unknown names (with the nearest known one), missing ones, values.
     """
     fields = {f.name: f for f in dataclasses.fields(cls) if f.init}
+    if forgotten := _undeclared(cls):
+        text = f"is no option yet: put @dataclass(frozen=True) above class {cls.__name__}"
+        raise OptionError(cls.__name__, [(name, text) for name in forgotten])
     problems = [(name, f"unknown option{suggest(name, fields)}") for name in options if name not in fields]
     for name, field in fields.items():
         if field.default is field.default_factory is dataclasses.MISSING and name not in options:
@@ -85,6 +89,13 @@ def build(cls: type[T], options: Mapping[str, Any]) -> T:
             problems += _checked(cls, name, value)[1]
         raise OptionError(cls.__name__, problems)
     return cls(**known)
+
+
+def _undeclared(cls: type) -> list[str]:
+    """Annotated names that look like options of a class that lacks the @dataclass to make them so."""
+    if "__dataclass_fields__" in vars(cls):
+        return []
+    return [name for name, hint in inspect.get_annotations(cls).items() if "ClassVar" not in str(hint)]
 
 
 def canonical(value: Any) -> Any:

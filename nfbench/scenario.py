@@ -10,8 +10,9 @@ import numpy as np
 from numpy import ndarray
 
 from .options import Options
+from .problem import Problem
 
-__all__ = ["Instance", "Scenario"]
+__all__ = ["Instance", "ProblemInstance", "Scenario"]
 
 
 class Instance(ABC):
@@ -32,6 +33,16 @@ class Instance(ABC):
         are no positions to show.
         """
         return None
+
+    def truth(self) -> ndarray | None:
+        """The estimate whose ``error`` is 0, for checks; None where there is none to tell."""
+        return None
+
+
+class ProblemInstance(Instance, ABC):
+    """An instance that is one problem to minimize, its minimizer the estimate: what the formulation `direct` solves."""
+
+    problem: Problem
 
 
 @dataclass(frozen=True)

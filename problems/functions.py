@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from nfbench import Formulation, Ge, Instance, Minimize, Problem, Scenario
+from nfbench import Formulation, Ge, Instance, Minimize, Problem, ProblemInstance, Scenario
 
 __all__ = ["Direct", "FunctionInstance", "FunctionProblem", "Functions", "Shape"]
 
@@ -148,11 +148,16 @@ class FunctionProblem(Problem):
 
 
 @final
-class FunctionInstance(Instance):
+class FunctionInstance(ProblemInstance):
     """A test function; an estimate is a point of its box."""
+
+    problem: FunctionProblem
 
     def __init__(self, problem: FunctionProblem) -> None:
         self.problem = problem
+
+    def truth(self) -> Point:
+        return self.problem.optimum
 
     def score(self, estimate: Point) -> dict[str, float]:
         """gap: f(x) - f*, rounding below 0 cut off. distance: ‖x - x*‖ as a fraction of the box's diagonal."""
@@ -204,9 +209,9 @@ class Functions(Scenario):
 class Direct(Formulation):
     """The instance's problem, minimized once; its minimizer is the estimate."""
 
-    accepts: ClassVar[type[Instance]] = FunctionInstance
+    accepts: ClassVar[type[Instance]] = ProblemInstance  # type: ignore[type-abstract]  # any that derives from it
 
-    def solve(self, instance: FunctionInstance, minimize: Minimize) -> Point:
+    def solve(self, instance: ProblemInstance, minimize: Minimize) -> Point:
         return minimize(instance.problem).x
 
 

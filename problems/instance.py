@@ -53,6 +53,9 @@ class NearFieldInstance(Instance):
         """The number K of sources."""
         return len(self.theta)
 
+    def truth(self) -> Float[ndarray, "k d"]:
+        return self.theta
+
     def score(self, estimate: Float[ndarray, "found d"]) -> dict[str, float]:
         """Cartesian errors [m] of the assignment of estimates to sources with the least sum of squares (Kuhn 1955).
 

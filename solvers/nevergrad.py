@@ -31,7 +31,7 @@ class Nevergrad(Solver):
     horizon: evaluations to plan for where the budget does not count them.
     """
 
-    algorithm: str = "CMA"
+    algorithm: str = "TwoPointsDE"
     horizon: Annotated[int, Ge(1)] = 100_000
 
     info: ClassVar[SolverInfo] = SolverInfo(

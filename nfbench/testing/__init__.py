@@ -6,11 +6,25 @@ In a plugin's tests::
 
     def test_conformance():
         check_solver(MySolver(population=20))
+
+``check_problem(problem)`` and ``check_scenario(scenario, formulations)`` do the same for what is solved.
 """
 
 from __future__ import annotations
 
 from .checks import CheckResult, check_names, check_solver, solver_checks
 from .probe import Probe
+from .problem_checks import check_problem, check_scenario, problem_checks, scenario_check_names, scenario_checks
 
-__all__ = ["CheckResult", "Probe", "check_names", "check_solver", "solver_checks"]
+__all__ = [
+    "CheckResult",
+    "Probe",
+    "check_names",
+    "check_problem",
+    "check_scenario",
+    "check_solver",
+    "problem_checks",
+    "scenario_check_names",
+    "scenario_checks",
+    "solver_checks",
+]
