@@ -9,6 +9,7 @@ from nfbench import Budget, Status, minimize
 from nfbench.problems.functions import Functions
 
 SOLVERS = {point.name: point.load() for point in entry_points(group="nfbench.solvers")}
+SOLVERS = {name: cls for name, cls in SOLVERS.items() if not cls.info.extra}  # those have test_extras.py
 CONVERGING = [name for name, cls in SOLVERS.items() if cls.info.converges]
 GLOBAL = [name for name, cls in SOLVERS.items() if cls.info.global_search]
 BUDGET = 20_000
