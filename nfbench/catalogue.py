@@ -57,7 +57,7 @@ def print_catalogue(registry: Registry, kinds: Iterable[str], console: Console, 
         table = Table(title=f"{kind}s", title_justify="left", title_style="bold")
         for head in _HEADS[kind]:
             table.add_column(head, overflow="fold")
-        hidden = 0
+        hidden: list[str] = []
         for name in registry.names(kind):
             plugin = registry.find(kind, name)
             missing = None
@@ -70,12 +70,12 @@ def print_catalogue(registry: Registry, kinds: Iterable[str], console: Console, 
             except PluginError as error:
                 cells = [f"[red]{escape(str(error))}[/red]"]
             if missing and not chosen.uninstalled:
-                hidden += 1
+                hidden.append(name)
                 continue
             table.add_row(name, *cells)
         console.print(table)
         if hidden:
-            console.print(f"{hidden} more wrap libraries that are not installed: nfbench list {kind}s --all")
+            console.print(f"Not installed: {', '.join(hidden)} (nfbench list {kind}s --all)")
     for file, why in registry.broken.items():
         console.print(f"[red]{file.name} is left out: {escape(why)}[/red]")
 

@@ -58,7 +58,7 @@ class Plugin:
         Looks for the modules without importing them. Raises PluginError if the plugin itself cannot be imported.
         """
         info = getattr(self.resolve(), "info", SolverInfo())
-        absent = [module for module in info.requires if importlib.util.find_spec(module) is None]
+        absent = [module for module in info.requires if importlib.util.find_spec(module.partition(".")[0]) is None]
         if not absent:
             return None
         package = self.origin.partition(" ")[0]

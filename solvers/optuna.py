@@ -22,8 +22,8 @@ __all__ = ["Optuna"]
 class Optuna(Solver):
     """A sampler of Optuna, in the unit box, point by point, until the budget ends.
 
-    Optuna is made for values that take long to evaluate: a point costs it from a tenth of a millisecond to many, the
-    more the more points there were. GPSampler is left out, as it needs PyTorch and minutes for some hundred points.
+    Optuna is made for values that take long to evaluate: a point costs it a fraction of a millisecond, and with "tpe"
+    the more the more points there were. GPSampler is left out, as it needs PyTorch.
 
     algorithm: "cmaes": CMA-ES, for at least 2 unknowns; "tpe": tree-structured Parzen estimators; "nsgaii": a genetic
         algorithm; "qmc": scrambled Sobol' points; "random": uniform points.

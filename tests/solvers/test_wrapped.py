@@ -1,0 +1,83 @@
+"""What adapters of libraries share: points outside are refused, the stop is not lost, global randomness is put back."""
+
+import random
+import sys
+
+import numpy as np
+import pytest
+from bench_problems import bowl
+
+from nfbench import Budget, BudgetExhausted, InvalidEvaluation, MeteredProblem
+from nfbench.solvers.wrapped import Stop, from_unit, global_random, planned
+
+
+def meter(**budget):
+    return MeteredProblem(bowl(), Budget(**{"evaluations": 10, **budget}))
+
+
+def test_rounding_is_mended_and_a_point_outside_is_refused():
+    problem = meter()
+    assert np.array_equal(from_unit(problem, np.array([-1e-12, 1.0 + 1e-12])), [-1.0, 2.0])
+    assert np.array_equal(from_unit(problem, np.array([[0.0, 0.5]])), [[-1.0, 0.5]])
+    for outside in ([0.5, 1.01], [-0.01, 0.5], [0.5, np.nan]):
+        with pytest.raises(InvalidEvaluation):
+            problem(from_unit(problem, np.array(outside)))
+    assert problem.evaluations == 0
+
+
+def test_a_plan_is_what_is_left_or_the_horizon_where_nothing_counts():
+    problem = meter(evaluations=10)
+    problem(problem.lower)
+    assert planned(problem, 500) == 9
+    unlimited = MeteredProblem(bowl(), Budget(seconds=60.0))
+    unlimited(unlimited.lower)
+    assert planned(unlimited, 500) == 500 < sys.maxsize
+
+
+@pytest.mark.parametrize("library", ["passes", "swallows", "replaces", "asks on"])
+def test_what_ends_a_run_gets_past_a_library(library):
+    stop, asked = Stop(), []
+
+    def objective(x):
+        asked.append(x)
+        if x == 2:
+            raise BudgetExhausted("over")
+        return x
+
+    guarded = stop.guard(objective)
+
+    def run():
+        for x in range(5):
+            try:
+                guarded(x)
+            except BaseException as error:
+                if library == "passes":
+                    raise
+                if library == "replaces":
+                    raise RuntimeError("objective failed") from error
+                if library == "swallows":
+                    return
+
+    with pytest.raises(BudgetExhausted, match="over"):
+        stop.run(run)
+    assert asked == [0, 1, 2]
+
+
+def test_an_error_of_the_library_itself_passes():
+    with pytest.raises(ZeroDivisionError):
+        Stop().run(lambda: 1 / 0)
+
+
+def test_global_randomness_comes_from_the_seed_and_is_put_back():
+    np.random.seed(5)  # noqa: NPY002
+    random.seed(5)
+    expected = np.random.random(), random.random()  # noqa: NPY002
+    drawn = []
+    for _ in range(2):
+        np.random.seed(5)  # noqa: NPY002
+        random.seed(5)
+        with pytest.raises(BudgetExhausted), global_random(9):
+            drawn.append((np.random.random(), random.random()))  # noqa: NPY002
+            raise BudgetExhausted
+        assert (np.random.random(), random.random()) == expected  # noqa: NPY002
+    assert drawn[0] == drawn[1] != expected
