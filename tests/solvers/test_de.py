@@ -1,13 +1,16 @@
+import typing
+
 import numpy as np
 import pytest
 from bench_problems import Formula, bowl, ramp
 from numpy.testing import assert_allclose, assert_array_equal
 
 from nfbench import Budget, OptionError, minimize
-from nfbench.solvers.de import DE, make_trials, pick_three
+from nfbench.solvers.de import DE, make_trials, pick_next, pick_three
 
 BLOCK = 16
 RULES = ["clip", "midpoint", "reflect", "resample"]
+STRATEGIES = typing.get_args(typing.get_type_hints(DE)["strategy"])
 
 
 def mirrored(v, low, high):
@@ -16,37 +19,69 @@ def mirrored(v, low, high):
     return v
 
 
-def plain_de(f, lower, upper, N, F, CR, rule, generations, rng):
-    """DE/rand/1/bin of the paper, one number at a time, on the random arrays that DE documents."""
-    n = len(lower)
+def mutant(name, j, x, i, best, r, F):
+    """One coordinate, each strategy's formula as its literature prints it; r_1 is r[0]."""
+    if name == "rand/1":
+        return x[r[0]][j] + F * (x[r[1]][j] - x[r[2]][j])
+    if name == "best/1":
+        return x[best][j] + F * (x[r[0]][j] - x[r[1]][j])
+    if name == "rand/2":
+        return x[r[0]][j] + F * (x[r[1]][j] - x[r[2]][j]) + F * (x[r[3]][j] - x[r[4]][j])
+    if name == "best/2":
+        return x[best][j] + F * (x[r[0]][j] - x[r[1]][j]) + F * (x[r[2]][j] - x[r[3]][j])
+    if name == "current-to-best/1":
+        return x[i][j] + F * (x[best][j] - x[i][j]) + F * (x[r[0]][j] - x[r[1]][j])
+    assert name == "rand-to-best/1"
+    return x[r[0]][j] + F * (x[best][j] - x[r[0]][j]) + F * (x[r[1]][j] - x[r[2]][j])
+
+
+VECTORS = {"rand/1": 3, "best/1": 2, "rand/2": 5, "best/2": 4, "current-to-best/1": 2, "rand-to-best/1": 3}
+
+
+def taken(crossover, j_rand, rand, CR):
+    """The coordinates that come from the mutant."""
+    n = len(rand)
+    if crossover == "bin":
+        return {j for j in range(n) if rand[j] <= CR or j == j_rand}
+    coordinates, j = set(), j_rand
+    while True:  # Storn & Price 1997: do ... while (rand <= CR and L < n)
+        coordinates.add(j)
+        j = (j + 1) % n
+        if len(coordinates) == n or rand[j] > CR:
+            return coordinates
+
+
+def plain_de(f, lower, upper, N, F, CR, rule, generations, rng, strategy="rand/1/bin"):
+    """Differential evolution, one number at a time, on the random arrays that DE documents."""
+    name, _, crossover = strategy.rpartition("/")
+    R, n = VECTORS[name], len(lower)
     unit = rng.random((N, n))
     x = [[lower[j] + unit[i, j] * (upper[j] - lower[j]) for j in range(n)] for i in range(N)]
     seen = [list(xi) for xi in x]
     values = [f(xi) for xi in x]
     for g in range(generations - 1):
         if g % BLOCK == 0:
-            draws = rng.random((BLOCK, N, 4 + 2 * n if rule == "resample" else 4 + n))
-        b = g % BLOCK
+            draws = rng.random((BLOCK, N, R + 1 + (2 * n if rule == "resample" else n)))
+        b, best = g % BLOCK, values.index(min(values))
         trials = []
         for i in range(N):
             deck = [(i + step) % N for step in range(1, N)]
-            r1, r2, r3 = (deck.pop(int(draws[b, i, c] * len(deck))) for c in range(3))
-            assert len({i, r1, r2, r3}) == 4
+            r = [deck.pop(int(draws[b, i, c] * len(deck))) for c in range(R)]
+            assert len({i, *r}) == R + 1
             u = list(x[i])
-            for j in range(n):
-                if draws[b, i, 4 + j] <= CR or j == int(draws[b, i, 3] * n):
-                    v = x[r1][j] + F * (x[r2][j] - x[r3][j])
-                    if not lower[j] <= v <= upper[j]:
-                        bound = lower[j] if v < lower[j] else upper[j]
-                        if rule == "clip":
-                            v = bound
-                        elif rule == "midpoint":
-                            v = (x[i][j] + bound) / 2
-                        elif rule == "reflect":
-                            v = mirrored(v, lower[j], upper[j])
-                        else:
-                            v = lower[j] + draws[b, i, 4 + n + j] * (upper[j] - lower[j])
-                    u[j] = v
+            for j in taken(crossover, int(draws[b, i, R] * n), draws[b, i, R + 1 : R + 1 + n], CR):
+                v = mutant(name, j, x, i, best, r, F)
+                if not lower[j] <= v <= upper[j]:
+                    bound = lower[j] if v < lower[j] else upper[j]
+                    if rule == "clip":
+                        v = bound
+                    elif rule == "midpoint":
+                        v = (x[i][j] + bound) / 2
+                    elif rule == "reflect":
+                        v = mirrored(v, lower[j], upper[j])
+                    else:
+                        v = lower[j] + draws[b, i, R + 1 + n + j] * (upper[j] - lower[j])
+                u[j] = v
             trials.append(u)
         for i, u in enumerate(trials):
             fu = f(u)
@@ -80,6 +115,25 @@ def test_evaluates_the_same_points_as_a_plain_loop(rule, N, n, F, CR):
         assert minimum.value == values.min()
 
 
+@pytest.mark.parametrize("strategy", STRATEGIES)
+@pytest.mark.parametrize(("rule", "N", "n", "F", "CR"), [("resample", 7, 5, 0.9, 0.6), ("midpoint", 20, 2, 0.5, 0.9)])
+def test_every_strategy_evaluates_the_same_points_as_a_plain_loop(strategy, rule, N, n, F, CR):
+    lower, upper = np.linspace(-2.0, 0.3, n), np.linspace(1.0, 3.3, n)
+    problem = Formula(rugged, lower, upper)
+    solver = DE(population=N, strategy=strategy, F=F, CR=CR, bounds=rule, generations=40)
+    minimum = minimize(problem, solver, N * 100, 5)
+    seen, values = plain_de(
+        lambda x: float(rugged(np.array([x]))[0]), lower, upper, N, F, CR, rule, 40, np.random.default_rng(5), strategy
+    )
+    assert_array_equal(problem.points, seen)
+    assert minimum.value == values.min()
+
+
+@pytest.mark.parametrize("strategy", STRATEGIES)
+def test_every_strategy_converges_in_one_valley(strategy):
+    assert minimize(bowl(3), DE(strategy=strategy), 15_000).value < 1e-6
+
+
 def test_the_plain_loop_leaves_the_box_often_enough_to_test_the_rules():
     lower, upper = np.full(3, -1.0), np.full(3, 1.0)
     runs = {
@@ -102,13 +156,35 @@ def test_indices_are_distinct_and_every_triple_is_equally_likely():
     assert_allclose(observed, rounds / 24, atol=5 * np.sqrt(rounds / 24))
 
 
+def test_a_fourth_and_fifth_individual_are_any_of_those_left():
+    for taken in ([3, 0, 5], [5, 3, 0, 1]):
+        i, N = 2, 7
+        others = [
+            pick_next(i, N, (card + 0.5) / (N - 1 - len(taken)), np.array(taken)) for card in range(N - 1 - len(taken))
+        ]
+        assert others == [r % N for r in range(i + 1, i + N) if r % N not in taken]
+
+
+def test_exponential_crossover_takes_a_run_of_geometric_length():
+    x = np.random.default_rng(1).random((50, 8))
+    u, lower, upper = np.empty_like(x), np.full(8, -9.0), np.full(8, 9.0)
+    counts = np.zeros(9)
+    for draws in np.random.default_rng(0).random((400, 50, 12)):
+        make_trials(x, 0, np.array([0, 1, 2]), True, 0.5, 0.6, 0, lower, upper, draws, u)
+        crossed = u != x
+        assert ((crossed != np.roll(crossed, 1, axis=1)).sum(axis=1) <= 2).all()  # one run, cyclically
+        counts += np.bincount(crossed.sum(axis=1), minlength=9)
+    expected = 20_000 * np.array([0, *(0.4 * 0.6 ** np.arange(7)), 0.6**7])
+    assert_allclose(counts, expected, atol=5 * np.sqrt(5000))
+
+
 def test_crossover_takes_cr_of_the_coordinates_and_at_least_one():
     x = np.random.default_rng(1).random((50, 8))
     u, lower, upper = np.empty_like(x), np.full(8, -9.0), np.full(8, 9.0)
 
     def crossed(CR, rounds):
         for draws in np.random.default_rng(0).random((rounds, 50, 12)):
-            make_trials(x, 0.5, CR, 0, lower, upper, draws, u)
+            make_trials(x, 0, np.array([0, 1, 2]), False, 0.5, CR, 0, lower, upper, draws, u)
             yield u != x
 
     cross = np.array(list(crossed(0.3, 400)))
@@ -162,6 +238,7 @@ def test_only_clip_lands_on_the_bound_itself():
     ("options", "message"),
     [
         ({"population": 3}, "population: expected greater than or equal to 4, got 3"),
+        ({"strategy": "rand/2/bin", "population": 5}, "population: expected at least 6 for rand/2/bin, got 5"),
         ({"F": 2.1}, "F: expected less than or equal to 2, got 2.1"),
         ({"CR": -0.1}, "CR: expected greater than or equal to 0, got -0.1"),
         ({"bounds": "wrap"}, "bounds: expected 'clip', 'midpoint', 'reflect' or 'resample', got 'wrap'"),
