@@ -44,6 +44,8 @@ class MeteredProblem(Problem):
         self.best_value = math.inf
         self.best_point: Float[ndarray, " n"] | None = None
         self.fault: str | None = None
+        self.population: Float[ndarray, "p n"] | None = None
+        self.population_values: Float[ndarray, " p"] | None = None
         self._problem = problem
         self._value = problem.value
         self._limit = budget.evaluations if budget.evaluations is not None else sys.maxsize
@@ -120,6 +122,16 @@ class MeteredProblem(Problem):
         if len(batch) < len(X):
             raise BudgetExhausted
         return values
+
+    def keep_population(self, X: Float[ndarray, "p n"], values: Float[ndarray, " p"]) -> None:
+        """Remember the solver's present population and its values, for formulations that look at more than the best.
+
+        Optional. No copy is made: a solver that goes on in these arrays, changing a point and its value together, says
+        so once; one with new arrays each generation says so each time. Points must have been evaluated.
+        """
+        if X.ndim != 2 or X.shape[1:] != self._shape or values.shape != X.shape[:1]:
+            self._refuse(f"expected a population (p, {self.dimension}) with p values, got {X.shape} and {values.shape}")
+        self.population, self.population_values = X, values
 
     def value(self, x: Float[ndarray, " n"]) -> float:
         """The same as calling the meter: the value at one point."""

@@ -27,7 +27,8 @@ class Minimum:
 
     x: (n,) the best point, NaN if no finite value was met. value: its objective. evaluations: how many were made;
     gradients: how many of them with the gradient; nonfinite: how many gave NaN or ±inf. runtime_s: wall-clock
-    time [s]. status, message: how it ended. trace: every improvement, thinned to under 1,000 rows.
+    time [s]. status, message: how it ended. trace: every improvement, thinned to under 1,000 rows. population: (p, n)
+    the solver's last population and population_values: (p,) its values, best first; None where it keeps none.
     """
 
     x: Float[ndarray, " n"]
@@ -39,6 +40,8 @@ class Minimum:
     status: Status
     message: str
     trace: Trace
+    population: Float[ndarray, "p n"] | None = None
+    population_values: Float[ndarray, " p"] | None = None
 
 
 def minimize(problem: Problem, solver: Solver, budget: Budget | int, seed: int | np.random.Generator = 0) -> Minimum:
@@ -53,6 +56,10 @@ def minimize(problem: Problem, solver: Solver, budget: Budget | int, seed: int |
     start = time.perf_counter()
     status, message = _drive(solver, meter, np.random.default_rng(seed))
     runtime_s = time.perf_counter() - start
+    population, values = meter.population, meter.population_values
+    if population is not None and values is not None:
+        order = np.argsort(values, kind="stable")
+        population, values = population[order], values[order]
     return Minimum(
         x=np.full(meter.dimension, np.nan) if meter.best_point is None else meter.best_point,
         value=meter.best_value,
@@ -63,6 +70,8 @@ def minimize(problem: Problem, solver: Solver, budget: Budget | int, seed: int |
         status=status,
         message=message,
         trace=meter.trace,
+        population=population,
+        population_values=values,
     )
 
 

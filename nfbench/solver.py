@@ -45,7 +45,8 @@ class Solver(Options, ABC):
 
     ``minimize`` asks ``problem.evaluate(X)`` for a batch or ``problem(x)`` for one point, reads ``problem.lower``,
     ``.upper``, ``.dimension`` and ``.remaining``, and draws randomness from ``rng`` alone. It returns nothing: the
-    meter knows the best point. It may end early; if it never would, BudgetExhausted, which it must let pass, ends it.
+    meter knows the best point, and the last population where ``problem.keep_population(X, values)`` tells it. It may
+    end early; if it never would, BudgetExhausted, which it must let pass, ends it.
     """
 
     info: ClassVar[SolverInfo] = SolverInfo()

@@ -100,6 +100,7 @@ class DE(Solver):
         rule, vectors, exponential = RULES.index(self.bounds), self._vectors(), self.strategy.endswith("exp")
         x = problem.from_unit(rng.random((N, n)))
         f = problem.evaluate(x)
+        problem.keep_population(x, f)
         best = int(f.argmin())
         u = np.empty_like(x)
         more = None if self.generations is None else self.generations - 1

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
-from jaxtyping import Float
-from numpy import ndarray
 from scipy.optimize import Bounds, minimize
 
 from nfbench import Ge, Gt, Lt, MeteredProblem, Solver, SolverInfo
+
+from .lbfgsb import objective
 
 __all__ = ["MultistartLBFGSB"]
 
@@ -40,25 +40,14 @@ class MultistartLBFGSB(Solver):
     )
 
     def minimize(self, problem: MeteredProblem, rng: np.random.Generator) -> None:
-        width = problem.upper - problem.lower
-
-        def analytic(u: Float[ndarray, " n"]) -> tuple[float, Float[ndarray, " n"]]:
-            value, gradient = problem.value_and_gradient(problem.from_unit(u))
-            return value, _flat_where_infinite(gradient * width)
-
-        def difference(u: Float[ndarray, " n"]) -> tuple[float, Float[ndarray, " n"]]:
-            h = np.where(u + self.step <= 1.0, self.step, -self.step)  # look inwards at the upper bound
-            values = problem.evaluate(problem.from_unit(np.vstack([u, u + np.diag(h)])))
-            return float(values[0]), _flat_where_infinite((values[1:] - values[0]) / h)
-
         n = problem.dimension
-        own = problem.has_gradient and self.gradient == "auto"
+        searched = objective(problem, own=problem.has_gradient and self.gradient == "auto", step=self.step)
         started = 0
         while self.starts is None or started < self.starts:
             started += 1
             with np.errstate(all="ignore"):  # a plateau of +inf is met with inf - inf
                 minimize(
-                    analytic if own else difference,
+                    searched,
                     rng.random(n),
                     jac=True,
                     method="L-BFGS-B",
@@ -71,8 +60,3 @@ class MultistartLBFGSB(Solver):
                         "maxfun": 2**31 - 1,
                     },
                 )
-
-
-def _flat_where_infinite(gradient: Float[ndarray, " n"]) -> Float[ndarray, " n"]:
-    """The gradient, zero where it is no number: a search that starts on a plateau of +inf ends there."""
-    return np.where(np.isfinite(gradient), gradient, 0.0)

@@ -1,4 +1,4 @@
-"""Global, derivative-free algorithms of NLopt."""
+"""Global algorithms of NLopt."""
 
 from __future__ import annotations
 
@@ -15,7 +15,19 @@ from nfbench import Ge, Gt, Incompatible, MeteredProblem, Solver, SolverInfo
 
 from .finite import Finite
 
-__all__ = ["AGS", "CRS2LM", "ESCH", "ISRES", "MLSL", "Direct", "DirectL", "DirectLRand"]
+__all__ = [
+    "AGS",
+    "CRS2LM",
+    "ESCH",
+    "ISRES",
+    "MLSL",
+    "MLSLLBFGS",
+    "Direct",
+    "DirectL",
+    "DirectLRand",
+    "StoGO",
+    "StoGORand",
+]
 
 AGS_DIMENSIONS = 10  # compiled into NLopt
 
@@ -30,13 +42,20 @@ def run(
     """Run an NLopt algorithm in the unit box until the budget or the algorithm ends.
 
     It starts at a uniform random point, where it starts at one. NLopt has one generator for the whole process, which is
-    seeded from ``rng`` first. +inf, at which DIRECT gives up and AGS crashes, is replaced by the worst finite value.
+    seeded from ``rng`` first. +inf, at which DIRECT gives up and AGS crashes, is replaced by the worst finite value,
+    where it is flat. A value with its gradient is one evaluation.
     """
     n = problem.dimension
+    width = problem.upper - problem.lower
     finite = Finite(start=1e100)
 
     def objective(u: Float[ndarray, " n"], gradient: Float[ndarray, " m"]) -> float:
-        return finite.one(problem(problem.from_unit(u)))
+        x = problem.from_unit(u)
+        if not gradient.size:
+            return finite.one(problem(x))
+        value, slope = problem.value_and_gradient(x)
+        gradient[:] = np.where(np.isfinite(slope), slope * width, 0.0)
+        return finite.one(value)
 
     optimizer = nlopt.opt(algorithm, n)
     optimizer.set_lower_bounds(0.0)
@@ -166,6 +185,62 @@ class MLSL(Solver):
         local.set_xtol_abs(self.xtol)
         local.set_ftol_rel(self.ftol)
         run(nlopt.G_MLSL_LDS, problem, rng, self.population, local)
+
+
+@dataclass(frozen=True)
+class MLSLLBFGS(Solver):
+    """Multi-level single linkage with local searches by L-BFGS, which follow the problem's gradient.
+
+    sampling: "low-discrepancy": Sobol points; "random": uniform ones, as of the original.
+    population: points sampled in each round; None: NLopt's 4.
+    xtol: a local search ends when its steps fall below this fraction of the box.
+    ftol: a local search ends when its steps change the value relatively by less.
+    """
+
+    sampling: Literal["low-discrepancy", "random"] = "low-discrepancy"
+    population: Annotated[int, Ge(1)] | None = None
+    xtol: Annotated[float, Gt(0.0)] = 1e-8
+    ftol: Annotated[float, Ge(0.0)] = 1e-12
+
+    info: ClassVar[SolverInfo] = SolverInfo(
+        needs_gradient=True,
+        reference="Rinnooy Kan & Timmer 1987, doi:10.1007/BF02592071; Kucherenko & Sytsko 2005, "
+        "doi:10.1007/s10589-005-4615-1; L-BFGS: Nocedal 1980, doi:10.1090/S0025-5718-1980-0572855-7",
+    )
+
+    def minimize(self, problem: MeteredProblem, rng: np.random.Generator) -> None:
+        local = nlopt.opt(nlopt.LD_LBFGS, problem.dimension)
+        local.set_xtol_abs(self.xtol)
+        local.set_ftol_rel(self.ftol)
+        algorithm = nlopt.G_MLSL_LDS if self.sampling == "low-discrepancy" else nlopt.G_MLSL
+        run(algorithm, problem, rng, self.population, local)
+
+
+@dataclass(frozen=True)
+class StoGO(Solver):
+    """StoGO: branch and bound of boxes by the gradient descents that leave them or end in them."""
+
+    info: ClassVar[SolverInfo] = SolverInfo(
+        stochastic=False,
+        needs_gradient=True,
+        reference="Madsen & Zertchaninov 1998, Technical University of Denmark, IMM-REP-1998-04",
+    )
+
+    def minimize(self, problem: MeteredProblem, rng: np.random.Generator) -> None:
+        run(nlopt.GD_STOGO, problem, rng)
+
+
+@dataclass(frozen=True)
+class StoGORand(Solver):
+    """StoGO with random points in each box."""
+
+    info: ClassVar[SolverInfo] = SolverInfo(
+        needs_gradient=True,
+        reference="Madsen & Zertchaninov 1998, Technical University of Denmark, IMM-REP-1998-04",
+    )
+
+    def minimize(self, problem: MeteredProblem, rng: np.random.Generator) -> None:
+        run(nlopt.GD_STOGO_RAND, problem, rng)
 
 
 @dataclass(frozen=True)

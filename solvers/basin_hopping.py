@@ -1,0 +1,64 @@
+"""Basin hopping of SciPy, with L-BFGS-B."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Any, ClassVar
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+from scipy.optimize import Bounds, basinhopping
+
+from nfbench import Ge, Gt, Le, MeteredProblem, Solver, SolverInfo
+
+from .lbfgsb import objective
+
+__all__ = ["BasinHopping"]
+
+
+@dataclass(frozen=True)
+class BasinHopping(Solver):
+    """``scipy.optimize.basinhopping`` in the unit box: a random step, then L-BFGS-B, accepted or not, over and over.
+
+    It follows the problem's gradient where it has one, each value and gradient one evaluation, else differences.
+
+    step: a hop moves each coordinate uniformly by up to this fraction of the box's width, and is mirrored at its faces.
+    temperature: T of the Metropolis rule, in the objective's unit; 0: only what is no worse is accepted.
+    patience: hops in a row without a better minimum, after which it starts anew at a uniform random point.
+    """
+
+    step: Annotated[float, Gt(0.0), Le(1.0)] = 0.25
+    temperature: Annotated[float, Ge(0.0)] = 0.0
+    patience: Annotated[int, Ge(1)] = 50
+
+    info: ClassVar[SolverInfo] = SolverInfo(
+        batched=True, reference="Wales & Doye 1997, doi:10.1021/jp970984n; Leary 2000, doi:10.1023/A:1026500301312"
+    )
+
+    def minimize(self, problem: MeteredProblem, rng: np.random.Generator) -> None:
+        n = problem.dimension
+
+        def hop(u: Float[ndarray, " n"]) -> Any:
+            moved = np.abs(u + rng.uniform(-self.step, self.step, n))
+            return np.where(moved > 1.0, 2.0 - moved, moved)
+
+        searched: Any = objective(problem, own=problem.has_gradient)  # SciPy's types know no jac=True
+        local: Any = {
+            "method": "L-BFGS-B",
+            "jac": True,
+            "bounds": Bounds(np.zeros(n), np.ones(n)),
+            "options": {"ftol": 1e-12, "gtol": 1e-8, "maxiter": 2**31 - 1, "maxfun": 2**31 - 1},
+        }
+        while True:
+            with np.errstate(all="ignore"):  # a plateau of +inf is met with inf - inf
+                basinhopping(
+                    searched,
+                    rng.random(n),
+                    niter=2**31 - 1,
+                    niter_success=self.patience,
+                    T=self.temperature,
+                    minimizer_kwargs=local,
+                    take_step=hop,
+                    rng=rng,
+                )
