@@ -30,6 +30,7 @@ __all__ = [
 ]
 
 AGS_DIMENSIONS = 10  # compiled into NLopt
+STOP = -1e300  # below the value at which every algorithm of NLopt ends
 
 
 def run(
@@ -48,8 +49,9 @@ def run(
     n = problem.dimension
     width = problem.upper - problem.lower
     finite = Finite(start=1e100)
+    ended: list[BaseException] = []
 
-    def objective(u: Float[ndarray, " n"], gradient: Float[ndarray, " m"]) -> float:
+    def ask(u: Float[ndarray, " n"], gradient: Float[ndarray, " m"]) -> float:
         x = problem.from_unit(u)
         if not gradient.size:
             return finite.one(problem(x))
@@ -57,10 +59,20 @@ def run(
         gradient[:] = np.where(np.isfinite(slope), slope * width, 0.0)
         return finite.one(value)
 
+    def objective(u: Float[ndarray, " n"], gradient: Float[ndarray, " m"]) -> float:
+        if not ended:
+            try:
+                return ask(u, gradient)
+            except BaseException as error:  # StoGO would ask on for ever, L-BFGS call it a failure
+                ended.append(error)
+        gradient[:] = 0.0
+        return STOP
+
     optimizer = nlopt.opt(algorithm, n)
     optimizer.set_lower_bounds(0.0)
     optimizer.set_upper_bounds(1.0)
     optimizer.set_min_objective(objective)
+    optimizer.set_stopval(0.5 * STOP)
     if population is not None:
         optimizer.set_population(population)
     if local is not None:
@@ -68,6 +80,8 @@ def run(
     nlopt.srand(int(rng.integers(1, 2**31 - 1)))
     with contextlib.suppress(nlopt.RoundoffLimited):  # it can tell the values apart no further: an end
         optimizer.optimize(rng.random(n))
+    if ended:
+        raise ended[0]
 
 
 @dataclass(frozen=True)
