@@ -38,6 +38,7 @@ class CrowdingDE(Solver):
 
     info: ClassVar[SolverInfo] = SolverInfo(
         batched=True,
+        converges=False,  # it spreads its evaluations over all minima
         reference="Thomsen 2004, doi:10.1109/CEC.2004.1331058; NCDE: Qu, Suganthan & Liang 2012, "
         "doi:10.1109/TEVC.2011.2161873",
     )

@@ -1,0 +1,140 @@
+"""Our solvers against other people's implementations: evaluations to a target have the same distribution.
+
+Two-sample Kolmogorov-Smirnov tests at the level 0.001 each, on functions whose minimum is in the middle of the box, so
+that rules for bounds, which differ, hardly matter. Seeds are fixed: a test that passes does so always.
+"""
+
+import typing
+
+import numpy as np
+import pytest
+from scipy.stats import ks_2samp
+
+from nfbench import Budget, minimize
+from nfbench.problems.functions import Functions
+from nfbench.solvers.de import DE
+from nfbench.solvers.jade import JADE
+from nfbench.solvers.jso import JSO
+from nfbench.solvers.lshade import LSHADE
+from nfbench.solvers.pso import PSO
+from nfbench.solvers.scipy_de import ScipyDE
+
+LEVEL = 1e-3
+TARGETS = {"sphere": 1e-8, "rastrigin": 1e-6, "rosenbrock": 1e-6, "ackley": 1e-6}
+
+
+def problem(function, n):
+    return Functions(function=function, dimension=n, shifted=False).draw(np.random.default_rng(0)).problem
+
+
+def ours(solver, function, n, budget, runs):
+    """Evaluations to the target; the budget where it was not reached."""
+    limit = Budget(evaluations=budget, target=TARGETS[function])
+    return [minimize(problem(function, n), solver, limit, seed).evaluations for seed in range(runs)]
+
+
+class Counted:
+    """An objective that notes at which evaluation its target was first reached."""
+
+    def __init__(self, function, n, budget):
+        self.problem, self.target = problem(function, n), TARGETS[function]
+        self.count, self.hit = 0, budget
+
+    def __call__(self, X):
+        values = self.problem.evaluate(np.atleast_2d(X))
+        reached = np.flatnonzero(values <= self.target)
+        if len(reached):
+            self.hit = min(self.hit, self.count + int(reached[0]) + 1)
+        self.count += len(values)
+        return values
+
+
+def alike(first, second):
+    result = ks_2samp(first, second)
+    print(
+        f"D = {result.statistic:.3f}, p = {result.pvalue:.3g}, medians {np.median(first):g} and {np.median(second):g}"
+    )
+    return result.pvalue > LEVEL
+
+
+@pytest.mark.parametrize("strategy", typing.get_args(typing.get_type_hints(DE)["strategy"]))
+def test_de_agrees_with_scipy(strategy):
+    function, n, budget, runs = "ackley", 4, 8000, 60
+    a = ours(DE(population=30, strategy=strategy, F=0.6, CR=0.7, bounds="resample"), function, n, budget, runs)
+    name = strategy.replace("/", "").replace("-", "")
+    scipys = ScipyDE(population=30, strategy=name, mutation=0.6, recombination=0.7, init="uniform")
+    b = ours(scipys, function, n, budget, runs)
+    assert np.median(a) < budget
+    assert alike(a, b)
+
+
+def test_such_a_test_tells_f_of_half_from_a_little_more():
+    runs = [ours(DE(population=30, F=F, CR=0.7), "ackley", 4, 8000, 60) for F in (0.5, 0.55)]
+    assert not alike(*runs)
+
+
+def minion(algorithm, function, n, budget, runs, **options):
+    """The same with minionpy, in C++, by Muzakka et al."""
+    library = pytest.importorskip("minionpy")
+    hits = []
+    for seed in range(runs):
+        counted = Counted(function, n, budget)
+        settings = {"x_tol": -1.0, "f_tol": -1.0, "bound_strategy": "random", **options}
+        box = list(zip(counted.problem.lower, counted.problem.upper, strict=True))
+        library.Minimizer(counted, box, None, algorithm, budget, None, 1000 + seed, settings).optimize()
+        hits.append(counted.hit)
+    return hits
+
+
+@pytest.mark.parametrize(("function", "n", "budget"), [("sphere", 6, 20_000), ("rastrigin", 6, 40_000)])
+@pytest.mark.parametrize(
+    ("solver", "algorithm", "options"),
+    [
+        (LSHADE(), "LSHADE", {"population_size": 108}),
+        (JSO(), "jSO", {"population_size": 110}),
+    ],
+    ids=["l-shade", "jso"],
+)
+def test_adaptive_de_agrees_with_minionpy(solver, algorithm, options, function, n, budget):
+    runs = 60
+    theirs = minion(algorithm, function, n, budget, runs, **options)
+    assert alike(ours(solver, function, n, budget, runs), theirs)
+
+
+@pytest.mark.parametrize(("function", "n", "budget"), [("sphere", 6, 20_000), ("rastrigin", 6, 40_000)])
+def test_jade_agrees_with_minionpy_but_for_its_repair_of_f(function, n, budget, monkeypatch):
+    """minionpy cuts F to [0.01, 1], where the paper draws F ≤ 0 again; with its rule ours has its distribution."""
+    runs, solver = 60, JADE(population=60)
+    theirs = minion("JADE", function, n, budget, runs, population_size=60, minimum_population_size=60)
+    assert not alike(ours(solver, function, n, budget, runs), theirs)
+
+    def cut(mean, rng):
+        return np.clip(mean + 0.1 * rng.standard_cauchy(len(mean)), 0.01, 1.0)
+
+    monkeypatch.setattr("nfbench.solvers.jade.draw_factors", cut)
+    assert alike(ours(solver, function, n, budget, runs), theirs)
+
+
+@pytest.mark.parametrize(("function", "n", "budget"), [("sphere", 6, 20_000), ("ackley", 4, 20_000)])
+def test_pso_agrees_with_pygmo(function, n, budget):
+    """pygmo's generational PSO, canonical with constriction and the global best, by Biscani & Izzo."""
+    pygmo = pytest.importorskip("pygmo")
+    runs, swarm, hits = 60, 50, []
+
+    class Objective:
+        def __deepcopy__(self, memo):  # pygmo copies its problems; the count must stay one
+            return self
+
+        def fitness(self, x):
+            return counted(x)
+
+        def get_bounds(self):
+            return counted.problem.lower, counted.problem.upper
+
+    for seed in range(runs):
+        counted = Counted(function, n, budget)
+        population = pygmo.population(pygmo.problem(Objective()), swarm, seed=seed)
+        algorithm = pygmo.pso_gen(budget // swarm, 0.72984, 2.05, 2.05, 1.0, 5, 1, seed=seed)
+        pygmo.algorithm(algorithm).evolve(population)
+        hits.append(counted.hit)
+    assert alike(ours(PSO(swarm=swarm), function, n, budget, runs), hits)
