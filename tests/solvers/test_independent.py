@@ -4,7 +4,10 @@ Two-sample Kolmogorov-Smirnov tests at the level 0.001 each, on functions whose 
 that rules for bounds, which differ, hardly matter. Seeds are fixed: a test that passes does so always.
 """
 
+import contextlib
+import json
 import typing
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,6 +21,7 @@ from nfbench.solvers.jso import JSO
 from nfbench.solvers.lshade import LSHADE
 from nfbench.solvers.pso import PSO
 from nfbench.solvers.scipy_de import ScipyDE
+from nfbench.solvers.shade import SHADE
 
 LEVEL = 1e-3
 TARGETS = {"sphere": 1e-8, "rastrigin": 1e-6, "rosenbrock": 1e-6, "ackley": 1e-6}
@@ -81,7 +85,9 @@ def minion(algorithm, function, n, budget, runs, **options):
         counted = Counted(function, n, budget)
         settings = {"x_tol": -1.0, "f_tol": -1.0, "bound_strategy": "random", **options}
         box = list(zip(counted.problem.lower, counted.problem.upper, strict=True))
-        library.Minimizer(counted, box, None, algorithm, budget, None, 1000 + seed, settings).optimize()
+        library.Minimizer(
+            counted, box, None, algorithm, budget, lambda _, c=counted: c.hit < budget, 1000 + seed, settings
+        ).optimize()
         hits.append(counted.hit)
     return hits
 
@@ -101,18 +107,14 @@ def test_adaptive_de_agrees_with_minionpy(solver, algorithm, options, function, 
     assert alike(ours(solver, function, n, budget, runs), theirs)
 
 
-@pytest.mark.parametrize(("function", "n", "budget"), [("sphere", 6, 20_000), ("rastrigin", 6, 40_000)])
-def test_jade_agrees_with_minionpy_but_for_its_repair_of_f(function, n, budget, monkeypatch):
-    """minionpy cuts F to [0.01, 1], where the paper draws F ≤ 0 again; with its rule ours has its distribution."""
-    runs, solver = 60, JADE(population=60)
-    theirs = minion("JADE", function, n, budget, runs, population_size=60, minimum_population_size=60)
-    assert not alike(ours(solver, function, n, budget, runs), theirs)
-
-    def cut(mean, rng):
-        return np.clip(mean + 0.1 * rng.standard_cauchy(len(mean)), 0.01, 1.0)
-
-    monkeypatch.setattr("nfbench.solvers.jade.draw_factors", cut)
-    assert alike(ours(solver, function, n, budget, runs), theirs)
+@pytest.mark.parametrize("function", ["sphere", "rastrigin"])
+@pytest.mark.parametrize(
+    ("solver", "name"), [(JADE(population=60), "jade"), (SHADE(population=60, memory=60), "shade")]
+)
+def test_jade_and_shade_agree_with_mealpy(solver, name, function):
+    """mealpy 3.0.3 by Van Thieu & Mirjalili, whose evaluations mealpy_hits.py has noted: it wants an older NumPy."""
+    theirs = json.loads((Path(__file__).parent / "mealpy_hits.json").read_text())[f"{name} {function}"]
+    assert alike(ours(solver, function, 6, 20_000, 60), theirs)
 
 
 @pytest.mark.parametrize(("function", "n", "budget"), [("sphere", 6, 20_000), ("ackley", 4, 20_000)])
@@ -126,6 +128,8 @@ def test_pso_agrees_with_pygmo(function, n, budget):
             return self
 
         def fitness(self, x):
+            if counted.hit < budget:
+                raise StopIteration
             return counted(x)
 
         def get_bounds(self):
@@ -135,6 +139,7 @@ def test_pso_agrees_with_pygmo(function, n, budget):
         counted = Counted(function, n, budget)
         population = pygmo.population(pygmo.problem(Objective()), swarm, seed=seed)
         algorithm = pygmo.pso_gen(budget // swarm, 0.72984, 2.05, 2.05, 1.0, 5, 1, seed=seed)
-        pygmo.algorithm(algorithm).evolve(population)
+        with contextlib.suppress(StopIteration):
+            pygmo.algorithm(algorithm).evolve(population)
         hits.append(counted.hit)
     assert alike(ours(PSO(swarm=swarm), function, n, budget, runs), hits)
