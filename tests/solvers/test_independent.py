@@ -63,7 +63,7 @@ def alike(first, second):
 
 @pytest.mark.parametrize("strategy", typing.get_args(typing.get_type_hints(DE)["strategy"]))
 def test_de_agrees_with_scipy(strategy):
-    function, n, budget, runs = "ackley", 4, 8000, 60
+    function, n, budget, runs = "ackley", 4, 8000, 40
     a = ours(DE(population=30, strategy=strategy, F=0.6, CR=0.7, bounds="resample"), function, n, budget, runs)
     name = strategy.replace("/", "").replace("-", "")
     scipys = ScipyDE(population=30, strategy=name, mutation=0.6, recombination=0.7, init="uniform")
@@ -92,6 +92,7 @@ def minion(algorithm, function, n, budget, runs, **options):
     return hits
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("function", "n", "budget"), [("sphere", 6, 20_000), ("rastrigin", 6, 40_000)])
 @pytest.mark.parametrize(
     ("solver", "algorithm", "options"),
@@ -114,9 +115,10 @@ def test_adaptive_de_agrees_with_minionpy(solver, algorithm, options, function, 
 def test_jade_and_shade_agree_with_mealpy(solver, name, function):
     """mealpy 3.0.3 by Van Thieu & Mirjalili, whose evaluations mealpy_hits.py has noted: it wants an older NumPy."""
     theirs = json.loads((Path(__file__).parent / "mealpy_hits.json").read_text())[f"{name} {function}"]
-    assert alike(ours(solver, function, 6, 20_000, 60), theirs)
+    assert alike(ours(solver, function, 6, 20_000, 40), theirs)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("function", "n", "budget"), [("sphere", 6, 20_000), ("ackley", 4, 20_000)])
 def test_pso_agrees_with_pygmo(function, n, budget):
     """pygmo's generational PSO, canonical with constriction and the global best, by Biscani & Izzo."""
