@@ -33,7 +33,9 @@ class BasinHopping(Solver):
     patience: Annotated[int, Ge(1)] = 50
 
     info: ClassVar[SolverInfo] = SolverInfo(
-        batched=True, reference="Wales & Doye 1997, doi:10.1021/jp970984n; Leary 2000, doi:10.1023/A:1026500301312"
+        batched=True,
+        uses_gradient=True,
+        reference="Wales & Doye 1997, doi:10.1021/jp970984n; Leary 2000, doi:10.1023/A:1026500301312",
     )
 
     def minimize(self, problem: MeteredProblem, rng: np.random.Generator) -> None:
