@@ -143,7 +143,7 @@ def test_a_group_holds_what_is_installed(manifest, plugin):
 
 def test_the_list_hides_it_and_tells_how_many(tmp_path, plugin):
     shown = nfbench("list", "solvers", "--needs-gradient", "yes", "--plugin", plugin, cwd=tmp_path).stdout
-    assert "slope" in shown and "rare" not in shown and "de " not in shown
+    assert "│ slope" in shown and "│ rare" not in shown and "│ de " not in shown
     assert "Not installed: rare (nfbench list solvers --all)" in shown
     every = nfbench("list", "--group", "gradient", "--all", "--plugin", plugin, cwd=tmp_path).stdout
     assert "rare" in every and "(not" in every and "near-field" not in every
