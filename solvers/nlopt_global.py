@@ -78,10 +78,12 @@ def run(
     if local is not None:
         optimizer.set_local_optimizer(local)
     nlopt.srand(int(rng.integers(1, 2**31 - 1)))
-    with contextlib.suppress(nlopt.RoundoffLimited):  # it can tell the values apart no further: an end
-        optimizer.optimize(rng.random(n))
-    if ended:
-        raise ended[0]
+    try:
+        with contextlib.suppress(nlopt.RoundoffLimited):  # it can tell the values apart no further: an end
+            optimizer.optimize(rng.random(n))
+    finally:
+        if ended:
+            raise ended[0]
 
 
 @dataclass(frozen=True)
@@ -205,6 +207,8 @@ class MLSL(Solver):
 class MLSLLBFGS(Solver):
     """Multi-level single linkage with local searches by L-BFGS, which follow the problem's gradient.
 
+    NLopt's L-BFGS may give up in a narrow valley, and MLSL with it; it then begins anew, from random points.
+
     sampling: "low-discrepancy": Sobol points; "random": uniform ones, as of the original.
     population: points sampled in each round; None: NLopt's 4.
     xtol: a local search ends when its steps fall below this fraction of the box.
@@ -227,7 +231,11 @@ class MLSLLBFGS(Solver):
         local.set_xtol_abs(self.xtol)
         local.set_ftol_rel(self.ftol)
         algorithm = nlopt.G_MLSL_LDS if self.sampling == "low-discrepancy" else nlopt.G_MLSL
-        run(algorithm, problem, rng, self.population, local)
+        while True:
+            try:
+                return run(algorithm, problem, rng, self.population, local)
+            except nlopt.runtime_error:
+                algorithm = nlopt.G_MLSL  # Sobol points would be the same again
 
 
 @dataclass(frozen=True)

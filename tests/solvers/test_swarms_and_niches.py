@@ -6,7 +6,10 @@ from bench_problems import Formula, bowl, ramp, two_valleys
 from numpy.testing import assert_allclose, assert_array_equal
 
 from nfbench import Budget, MeteredProblem, OptionError, Status, minimize
+from nfbench.problems.esf import ESF
 from nfbench.problems.functions import Functions
+from nfbench.problems.scenario import NearField
+from nfbench.problems.subspace import signal_subspace
 from nfbench.solvers.basin_hopping import BasinHopping
 from nfbench.solvers.crowding_de import CrowdingDE, compete
 from nfbench.solvers.nlopt_global import MLSLLBFGS, StoGO, StoGORand
@@ -122,6 +125,18 @@ def test_the_gradient_is_used_and_counts_as_one_evaluation(solver):
     assert minimum.evaluations == 3000
     assert minimum.gradients > 1000
     assert minimum.value < 12  # second-best valleys are 1, 2, 3 …; the mean is some 50
+
+
+@pytest.mark.parametrize("sampling", ["low-discrepancy", "random"])
+def test_mlsl_begins_anew_where_lbfgs_gives_up(sampling):
+    """ESF, in whose narrow valleys NLopt's L-BFGS ends with a failure."""
+    array = {"kind": "ula", "elements": 64, "spacing_wavelengths": 0.25, "origin": "first"}
+    box = {"azimuth_deg": [-60, 60], "range_m": [0.5, 4.0]}
+    scenario = NearField(array=array, **box, wavelength_m=0.02, wavefront="exact", sources=3, snapshots=50, snr_db=20.0)
+    instance = scenario.draw(np.random.default_rng(0))
+    esf = ESF(signal_subspace(instance.Y, 3), instance.manifold, instance.lower, instance.upper)
+    minimum = minimize(esf, MLSLLBFGS(sampling=sampling), 10_000)
+    assert (minimum.status, minimum.evaluations) == (Status.OK, 10_000)
 
 
 @pytest.mark.parametrize("cls", [MLSLLBFGS, StoGO, StoGORand])
