@@ -93,7 +93,9 @@ def minion(algorithm, function, n, budget, runs, **options):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("function", "n", "budget"), [("sphere", 6, 20_000), ("rastrigin", 6, 40_000)])
+@pytest.mark.parametrize(
+    ("function", "n", "budget"), [("sphere", 6, 20_000), ("rastrigin", 6, 40_000), ("rosenbrock", 6, 40_000)]
+)
 @pytest.mark.parametrize(
     ("solver", "algorithm", "options"),
     [
