@@ -68,7 +68,7 @@ def test_what_is_excluded_is_left_out(manifest):
 
 def test_a_group_in_a_method_makes_one_method_for_each(manifest):
     text = '[[method]]\nformulation = "once"\nsolver = { group = "gradient" }\nbudget = { evaluations = 9 }\n'
-    assert kinds(manifest(text)) == ["multistart-lbfgsb"]
+    assert kinds(manifest(text)) == kinds(manifest(grouped('group = "gradient"')))
     labelled = problems(manifest(text + 'label = "x"\n'))
     assert labelled == ["method[0].label: expected none, as its solver is a group, got 'x'"]
 
@@ -138,7 +138,8 @@ def test_a_manifest_that_names_a_solver_without_its_library_is_wrong(manifest, p
 
 
 def test_a_group_holds_what_is_installed(manifest, plugin):
-    assert kinds(manifest(grouped('group = "gradient"'), plugins=[plugin])) == ["multistart-lbfgsb", "slope"]
+    found = kinds(manifest(grouped('group = "gradient"'), plugins=[plugin]))
+    assert {"multistart-lbfgsb", "nlopt-stogo", "slope"} <= set(found) and not {"rare", "de"} & set(found)
 
 
 def test_the_list_hides_it_and_tells_how_many(tmp_path, plugin):
