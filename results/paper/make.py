@@ -41,7 +41,7 @@ def write_errors(folder: Path) -> None:
         )
         for metric in metrics
     ]
-    points = list(dict.fromkeys(runs[[*swept, "repetition"]].itertuples(index=False, name=None)))
+    points = runs[[*swept, "repetition"]].drop_duplicates().set_index([*swept, "repetition"]).index
     scenes = runs.groupby([*swept, "repetition"])[[name for name in ("crb_m", "floor_m") if name in runs]].first()
     table = pd.concat([*wide, scenes.dropna(axis=1, how="all")], axis=1).reindex(points)
     table.to_csv(folder / "errors.csv", float_format="%.4g")
