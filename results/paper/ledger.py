@@ -35,6 +35,9 @@ def median(errors: np.ndarray) -> np.ndarray:
     return np.nanmedian(errors, axis=0)
 
 
+STATISTICS: dict[str, Statistic] = {"RMSE": rms, "median": median}
+
+
 @dataclass(frozen=True)
 class Evidence:
     """One condition: a ratio, its interval, and whether the claim holds there (None: open)."""
@@ -116,7 +119,7 @@ def versus(
     """One method over another, condition by condition, in RMSE and in the median."""
     found = []
     for condition, scenes in conditions(study, keys):
-        for name, statistic in (("RMSE", rms), ("median", median)):
+        for name, statistic in STATISTICS.items():
             if kind not in ("both", name):
                 continue
             value, low, high = ratio(scenes[first].to_numpy(), scenes[second].to_numpy(), statistic)
@@ -132,24 +135,28 @@ def across(
     keys: list[str],
     methods: list[str],
     judge: Callable[[float, float], bool | None],
+    kinds: tuple[str, ...] = ("RMSE",),
 ) -> list[Evidence]:
-    """Each method at one end of a sweep over the same method at the other, in RMSE; their scenes are independent."""
+    """Each method at one end of a sweep over the same method at the other; their scenes are independent."""
     found = []
     for condition, scenes in conditions(study, keys):
         column = scenes[f"scenario.{key}"].astype(str)
         for method in methods:
             last, first = (scenes[column == value][method].to_numpy() for value in (end, start))
-            value, low, high = unpaired(last, first)
-            found.append(Evidence(", ".join(filter(None, [method, condition])), value, low, high, judge(low, high)))
+            for kind in kinds:
+                value, low, high = unpaired(last, first, STATISTICS[kind])
+                told = ", ".join(filter(None, [kind, method, condition]))
+                found.append(Evidence(told, value, low, high, judge(low, high)))
     return found
 
 
-def unpaired(first: np.ndarray, second: np.ndarray) -> tuple[float, float, float]:
+def unpaired(first: np.ndarray, second: np.ndarray, statistic: Statistic) -> tuple[float, float, float]:
+    """As ``ratio``, of two sets of scenes that have nothing to do with each other."""
     first, second = first[np.isfinite(first)], second[np.isfinite(second)]
     rng = np.random.default_rng(0)
-    a, b = (rms(e[rng.integers(len(e), size=(len(e), RESAMPLES))]) for e in (first, second))
+    a, b = (statistic(e[rng.integers(len(e), size=(len(e), RESAMPLES))]) for e in (first, second))
     low, high = np.quantile(a / b, [0.025, 0.975])
-    return float(rms(first) / rms(second)), float(low), float(high)
+    return float(statistic(first[:, None])[0] / statistic(second[:, None])[0]), float(low), float(high)
 
 
 def claims() -> list[Claim]:
@@ -186,19 +193,33 @@ def claims() -> list[Claim]:
         Claim(
             "The RMSE of every method grows with the number of sources (λ/4)",
             "Fig. RMSE vs. number of sources, λ/4",
-            "RMSE at K = 5 ÷ at K = 2",
+            "RMSE and median at K = 5 ÷ at K = 2",
             "rmse_sources_quarter",
             across(
-                "rmse_sources_quarter", "sources", "2", "5", fading, ["NEMO-DE", coarse, fine, m_coarse, m_fine], above
+                "rmse_sources_quarter",
+                "sources",
+                "2",
+                "5",
+                fading,
+                ["NEMO-DE", coarse, fine, m_coarse, m_fine],
+                above,
+                ("RMSE", "median"),
             ),
         ),
         Claim(
             "The RMSE of every method grows with the number of sources (λ/2)",
             "Fig. RMSE vs. number of sources, λ/2",
-            "RMSE at K = 5 ÷ at K = 2",
+            "RMSE and median at K = 5 ÷ at K = 2",
             "rmse_sources_half",
             across(
-                "rmse_sources_half", "sources", "2", "5", fading, ["NEMO-DE", coarse, fine, "2D MUSIC 600×3000"], above
+                "rmse_sources_half",
+                "sources",
+                "2",
+                "5",
+                fading,
+                ["NEMO-DE", coarse, fine, "2D MUSIC 600×3000"],
+                above,
+                ("RMSE", "median"),
             ),
         ),
         Claim(
@@ -332,7 +353,7 @@ def claims() -> list[Claim]:
         Claim(
             "The DE parameters of the paper are well chosen: none changed alone does better",
             "Table of DE parameters; sensitivity mentioned, not shown",
-            "each variant ÷ the paper's, in RMSE; not better: not below 1",
+            "each variant ÷ the paper's, in RMSE; not better: not below 0.95",
             "de_sensitivity",
             [
                 Evidence(f"{variant}, {item.condition}", item.ratio, item.low, item.high, item.holds)
@@ -342,7 +363,7 @@ def claims() -> list[Claim]:
                     ["rician_k"],
                     variant,
                     "paper: N_p 50, G 300, F 0.5, C_r 0.8",
-                    lambda low, high: high >= 1,
+                    lambda low, high: high >= 0.95,
                     "RMSE",
                 )
             ],
@@ -450,9 +471,10 @@ def page(judged: list[Claim]) -> str:
             flips = f"open: {_some(opened)}"
         elif claim.verdict == "undecided" and fails:
             flips = f"fails: {_some(fails)}"
+        drawing = "runtime" if claim.study == "runtime" else "error"
         lines.append(
             f"| {number} | {claim.text} | {claim.where} | **{claim.verdict}** "
-            f"| {len(holds)} / {len(fails)} / {len(opened)} | {flips} | [{claim.study}]({claim.study}/error.svg) |"
+            f"| {len(holds)} / {len(fails)} / {len(opened)} | {flips} | [{claim.study}]({claim.study}/{drawing}.svg) |"
         )
     for number, claim in enumerate(judged, start=1):
         lines += [
