@@ -25,7 +25,7 @@ from .meter import MeteredProblem
 from .minimize import Minimum, minimize
 from .options import FilePath, Ge, Gt, Le, Lt, OneOf, Options
 from .problem import Problem
-from .scenario import Instance, ProblemInstance, Scenario
+from .scenario import Extra, Instance, ProblemInstance, Scenario
 from .solver import AskTell, AskTellSolver, Solver, SolverInfo
 from .trace import Trace
 
@@ -36,6 +36,7 @@ __all__ = [
     "AskTellSolver",
     "Budget",
     "BudgetExhausted",
+    "Extra",
     "FilePath",
     "Formulation",
     "Ge",

@@ -134,7 +134,9 @@ def _row(kind: str, cls: Any, missing: str | None) -> list[str]:
             f"{info.extra or ''}{' (not installed)' if missing else ''}".strip(),
             escape(info.reference),
         ]
-    return [("yes" if cls.needs_solver else "no") if kind == "formulation" else cls.error, _doc(cls).partition("\n")[0]]
+    first_line = _doc(cls).partition("\n")[0]
+    what = f"{first_line} (not installed)" if missing else first_line
+    return [("yes" if cls.needs_solver else "no") if kind == "formulation" else cls.error, what]
 
 
 def _doc(cls: type) -> str:

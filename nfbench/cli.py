@@ -282,7 +282,7 @@ def list_plugins(
     needs_gradient: Annotated[YesNo | None, typer.Option(help="Only solvers that need a gradient, or do not.")] = None,
     batched: Annotated[YesNo | None, typer.Option(help="Only solvers that evaluate in batches, or do not.")] = None,
     stochastic: Annotated[YesNo | None, typer.Option(help="Only solvers that are random, or are not.")] = None,
-    every: Annotated[bool, typer.Option("--all/--installed", help="Also solvers whose extra is missing.")] = False,
+    every: Annotated[bool, typer.Option("--all/--installed", help="Also what needs an extra that is missing.")] = False,
 ) -> None:
     """List what is registered, and what failed to import."""
     from .catalogue import Filter, print_catalogue

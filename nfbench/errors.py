@@ -35,7 +35,7 @@ class PluginError(NfbenchError):
 
 
 class MissingExtra(PluginError):
-    """A solver is registered, but the library it wraps is not installed; the message says how to install it."""
+    """A plugin is registered, but a library it needs is not installed; the message says how to install it."""
 
 
 class StoreError(NfbenchError):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import importlib.util
 import inspect
@@ -12,14 +13,14 @@ from dataclasses import dataclass, is_dataclass
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, cast
 
-from .errors import MissingExtra, PluginError
+from .errors import MissingExtra, OptionError, PluginError
 from .formulation import Formulation
 from .minimize import explain
 from .options import Options, build, suggest
-from .scenario import Scenario
-from .solver import Solver, SolverInfo
+from .scenario import Extra, Scenario
+from .solver import Solver
 
 __all__ = ["CONTRACTS", "Plugin", "Registry"]
 
@@ -52,17 +53,19 @@ class Plugin:
             )
         return cls
 
-    def missing(self) -> str | None:
-        """Where it is a solver whose libraries are not all installed: which, and how to install them.
+    def missing(self, made: Options | None = None) -> str | None:
+        """Where it needs libraries that are not all installed: which, and how to install them.
 
-        Looks for the modules without importing them. Raises PluginError if the plugin itself cannot be imported.
+        made: it with the options it shall have; None: with the default ones. Looks for the modules without importing
+        them. Raises PluginError if the plugin itself cannot be imported.
         """
-        info = getattr(self.resolve(), "info", SolverInfo())
-        absent = [module for module in info.requires if importlib.util.find_spec(module.partition(".")[0]) is None]
-        if not absent:
+        extra = _extra(self.resolve(), made)
+        requires = extra.requires if extra else ()
+        absent = [module for module in requires if importlib.util.find_spec(module.partition(".")[0]) is None]
+        if extra is None or not absent:
             return None
         package = self.origin.partition(" ")[0]
-        wanted = f"'{package}[{info.extra}]'" if info.extra else " ".join(absent)
+        wanted = f"'{package}[{extra.name}]'" if extra.name else " ".join(absent)
         return f"needs {', '.join(absent)}, not installed here: pip install {wanted}"
 
 
@@ -99,7 +102,7 @@ class Registry:
         """Construct a plugin from its options. Raises PluginError, or MissingExtra, or OptionError."""
         plugin = self.find(kind, name)
         made = build(plugin.resolve(), options)
-        if missing := plugin.missing():
+        if missing := plugin.missing(made):
             raise MissingExtra(f"{kind} {name} {missing}")
         return made
 
@@ -129,6 +132,16 @@ class Registry:
             kind = next(kind for kind, contract in CONTRACTS.items() if issubclass(cls, contract))
             name = vars(cls).get("name") or _kebab(cls.__name__)
             self._add(Plugin(kind, name, file.name, version, cls))
+
+
+def _extra(cls: type[Options], made: Options | None) -> Extra | None:
+    """The extra that a plugin needs; of a scenario, where options lack that have no default, it is not known yet."""
+    if issubclass(cls, Solver):
+        return Extra(cls.info.extra, cls.info.requires)
+    if issubclass(cls, Scenario) and cls.needed_extra is not Scenario.needed_extra:
+        with contextlib.suppress(OptionError):
+            return cast(Scenario, made or build(cls, {})).needed_extra()
+    return None
 
 
 def _import_file(file: Path, version: str) -> ModuleType:

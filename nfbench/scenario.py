@@ -12,7 +12,7 @@ from numpy import ndarray
 from .options import Options
 from .problem import Problem
 
-__all__ = ["Instance", "ProblemInstance", "Scenario"]
+__all__ = ["Extra", "Instance", "ProblemInstance", "Scenario"]
 
 
 class Instance(ABC):
@@ -46,6 +46,17 @@ class ProblemInstance(Instance, ABC):
 
 
 @dataclass(frozen=True)
+class Extra:
+    """What is imported when a plugin runs, beyond what its package always installs.
+
+    name: the optional extra of that package that installs it; None where it is installed by itself. requires: modules.
+    """
+
+    name: str | None
+    requires: tuple[str, ...]
+
+
+@dataclass(frozen=True)
 class Scenario(Options, ABC):
     """What is measured. Subclass as a frozen dataclass: its fields are the keys of ``[scenario]`` and ``[sweep]``.
 
@@ -58,6 +69,10 @@ class Scenario(Options, ABC):
 
     def warm_up(self) -> None:
         """Compile or load what runs will need; called before the first one, so that no clock sees it."""
+
+    def needed_extra(self) -> Extra | None:
+        """The optional library that these options need; none, unless overridden."""
+        return None
 
     @abstractmethod
     def draw(self, rng: np.random.Generator) -> Instance:

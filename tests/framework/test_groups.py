@@ -1,16 +1,18 @@
 """Groups of solvers in manifests and lists, and solvers whose library is not installed."""
 
+import re
+
 import pytest
 from conftest import BASIC
 from test_cli import nfbench
 
-from nfbench import ManifestError, SolverInfo, load_study
+from nfbench import ManifestError, MissingExtra, SolverInfo, load_study
 from nfbench.groups import GROUPS
 from nfbench.registry import Registry
 
 PLUGIN = """
 from dataclasses import dataclass
-from nfbench import Solver, SolverInfo
+from nfbench import Extra, Instance, Scenario, Solver, SolverInfo
 
 @dataclass(frozen=True)
 class Slope(Solver):
@@ -29,6 +31,18 @@ class Rare(Solver):
 
     def minimize(self, problem, rng):
         import no_such_library
+
+@dataclass(frozen=True)
+class Moon(Scenario):
+    \"\"\"Measures what nobody can.\"\"\"
+    instance = Instance
+    backend: str = "no_such_library"
+
+    def needed_extra(self):
+        return Extra(None, (self.backend,))
+
+    def draw(self, rng):
+        raise NotImplementedError
 """
 
 
@@ -150,6 +164,20 @@ def test_the_list_hides_it_and_tells_how_many(tmp_path, plugin):
     assert "rare" in every and "(not" in every and "near-field" not in every
     page = nfbench("show", "solver", "rare", "--plugin", plugin, cwd=tmp_path).stdout
     assert "rare needs no_such_library, not installed here: pip install no_such_library" in page and "step" in page
+
+
+def test_a_scenario_needs_what_its_options_say(tmp_path, plugin):
+    words = "needs no_such_library, not installed here: pip install no_such_library"
+    registry = Registry([plugin])
+    with pytest.raises(MissingExtra, match=re.escape(f"scenario moon {words}")):
+        registry.make("scenario", "moon", {})
+    assert registry.make("scenario", "moon", {"backend": "numpy"}).backend == "numpy"
+    shown = nfbench("list", "scenarios", "--plugin", plugin, cwd=tmp_path).stdout
+    assert "│ near-field" in shown and "│ moon" not in shown
+    assert re.search(r"Not installed: (bbob, )?moon \(nfbench list scenarios --all\)", shown)
+    every = nfbench("list", "scenarios", "--all", "--plugin", plugin, cwd=tmp_path).stdout
+    assert "Measures what nobody can. (not installed)" in every
+    assert f"moon {words}" in nfbench("show", "scenario", "moon", "--plugin", plugin, cwd=tmp_path).stdout
 
 
 def test_filters_are_for_solvers(tmp_path):
