@@ -33,6 +33,8 @@ LIBRARIES = (
     "pygmo",
     "minionpy",
     "fcmaes",
+    "coco-experiment",
+    "ioh",
     "pandas",
     "pydantic",
     "threadpoolctl",
