@@ -140,7 +140,7 @@ WRONG = {
     ),
     "no kinds": (
         'name = "a"\nrepetitions = 1\nseed = 1\n[scenario]\nnoise = 1\n[[formulation]]\n[[solver]]\nkind = 3',
-        ["scenario.kind: is required; known: functions, near-field, toy", "formulation[0].kind: is required;"],
+        ["scenario.kind: is required; known: bbob, functions, near-field, toy", "formulation[0].kind: is required;"],
     ),
     "an impossible name": (
         'name = "../../etc"\nrepetitions = 1\nseed = 1\n[scenario]\nkind = "toy"\n[[formulation]]\nkind = "oracle"',
