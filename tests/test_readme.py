@@ -1,5 +1,6 @@
 """Every command and code block of the README works as printed."""
 
+import importlib.util
 import os
 import re
 import shlex
@@ -116,7 +117,12 @@ def test_the_optimizers_study_holds_every_solver_of_the_base_install():
 
 @pytest.mark.parametrize("path", sorted((PROJECT / "studies").rglob("*.toml")), ids=lambda path: path.stem)
 def test_every_study_is_valid(path):
-    from nfbench import load_study
+    from nfbench import ManifestError, load_study
 
+    if path.stem == "bbob" and not importlib.util.find_spec("cocoex"):
+        with pytest.raises(ManifestError, match=r"not installed here: pip install 'nfbench\[coco\]'") as caught:
+            load_study(Path(path))
+        assert len(caught.value.problems) == 1
+        return
     study = load_study(Path(path))
     assert study.expect and study.title and len(list(study.specs())) == len(study)
