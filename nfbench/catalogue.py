@@ -16,7 +16,7 @@ from rich.table import Table
 
 from .errors import OptionError, PluginError
 from .groups import GROUPS
-from .options import OneOf, Options, canonical, suggest
+from .options import Named, OneOf, Options, canonical, suggest
 from .registry import Registry
 from .solver import Solver, SolverInfo
 
@@ -47,7 +47,9 @@ class Filter:
             (self.batched, info.batched),
             (self.stochastic, info.stochastic),
         )
-        return GROUPS[self.group or "all"](info) and all(want in (None, has) for want, has in asked)
+        if self.group is not None and (info.composed or not GROUPS[self.group](info)):
+            return False
+        return all(want in (None, has) for want, has in asked)
 
 
 def print_catalogue(registry: Registry, kinds: Iterable[str], console: Console, chosen: Filter | None = None) -> None:
@@ -155,7 +157,7 @@ def _type(hint: Any) -> str:
             return "table of kind " + " | ".join(marks[0].classes)
         limits = [_limit(mark) for mark in marks]
         return " ".join([_type(typing.get_args(hint)[0]), *filter(None, limits)])
-    if _is_table(hint):
+    if _is_table(hint) or hint is Named:
         return "table"
     if typing.get_origin(hint) is tuple:
         parts = [_type(part) for part in typing.get_args(hint) if part is not ...]
@@ -191,6 +193,8 @@ def _default(option: dataclasses.Field[Any]) -> str:
     else:
         value = option.default_factory()
     plain = canonical(value)
+    if isinstance(plain, list) and plain and all(isinstance(item, dict) for item in plain):
+        return f"[{', '.join(item['kind'] if 'kind' in item else str(item) for item in plain)}]"
     if isinstance(plain, dict):
         given = ", ".join(f"{name} = {item}" for name, item in plain.items() if item is not None)
         return plain.get("kind") or f"{{ {given} }}".replace("{  }", "{}")

@@ -8,6 +8,7 @@ from typing import Any
 
 from .errors import MissingExtra, OptionError, PluginError
 from .groups import members
+from .inner import versions
 from .options import Options, canonical
 from .registry import Registry
 from .study import Choice, digest
@@ -82,7 +83,8 @@ class Chooser:
         except PluginError as error:
             return self._keep(kind, Choice(name, label, canonical(options), plugin.version, str(error))), None
         plain = {key: value for key, value in canonical(made).items() if key != "kind"}
-        return self._keep(kind, Choice(name, label, plain, plugin.version)), made
+        version = "+".join(dict.fromkeys([plugin.version, *versions(made)]))
+        return self._keep(kind, Choice(name, label, plain, version)), made
 
     def group(self, table: Mapping[str, Any], path: str) -> list[tuple[Choice, Options | None]]:
         """The choices that ``{group = …, exclude = […]}`` stands for; none, with the problems noted, if it is wrong."""
@@ -132,4 +134,6 @@ def _plain(value: Any) -> str:
     """A value as a label shows it: of a table only what is set."""
     if isinstance(value, dict):
         return f"{{{', '.join(f'{name}={_plain(item)}' for name, item in value.items() if item is not None)}}}"
+    if isinstance(value, list):
+        return f"[{', '.join(map(_plain, value))}]"
     return str(value)

@@ -29,6 +29,8 @@ GROUPS: dict[str, Callable[[SolverInfo], bool]] = {
 class Group(Options):
     """``group = "global"``, in place of a kind: every installed solver of that group, with its default options.
 
+    Solvers over solvers, such as a portfolio, are in none.
+
     exclude: names of solvers that are left out.
     """
 
@@ -63,7 +65,7 @@ def members(registry: Registry, table: dict[str, Any]) -> tuple[list[str], list[
         except PluginError as error:
             left_out.append(f"{error}; it is left out of group {group.group}")
             continue
-        if GROUPS[group.group](info) and not missing:
+        if GROUPS[group.group](info) and not info.composed and not missing:
             names.append(name)
     if not names and not problems:
         problems = [("group", f"no installed solver is in {group.group!r}")]

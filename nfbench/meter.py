@@ -64,6 +64,13 @@ class MeteredProblem(Problem):
         return self._limit - self.evaluations
 
     @property
+    def spent(self) -> bool:
+        """Whether the budget is used up, or its target reached."""
+        if self.evaluations >= self._limit or self.best_value <= self._target:
+            return True
+        return self._deadline is not None and time.perf_counter() >= self._deadline
+
+    @property
     def seconds(self) -> float:
         """Wall-clock time since the meter was made [s]."""
         return time.perf_counter() - self._start
@@ -132,6 +139,21 @@ class MeteredProblem(Problem):
         if X.ndim != 2 or X.shape[1:] != self._shape or values.shape != X.shape[:1]:
             self._refuse(f"expected a population (p, {self.dimension}) with p values, got {X.shape} and {values.shape}")
         self.population, self.population_values = X, values
+        if isinstance(self._problem, MeteredProblem):  # this is a part of it
+            self._problem.keep_population(X, values)
+
+    def part(self, share: float = 1.0, evaluations: int | None = None) -> MeteredProblem:
+        """This problem with less to spend: a ``share`` in (0, 1] of what is left, and of ``evaluations`` at most.
+
+        What a solver evaluates on the part counts here too. The share of evaluations is rounded, to 1 at least.
+        Raises BudgetExhausted where nothing is left.
+        """
+        self._check_budget()
+        limits = [] if evaluations is None else [evaluations]
+        if self._limit < sys.maxsize:
+            limits.append(max(round(share * self.remaining), 1))
+        seconds = None if self._deadline is None else share * max(self._deadline - time.perf_counter(), 1e-9)
+        return MeteredProblem(self, Budget(evaluations=min(limits, default=None), seconds=seconds))
 
     def value(self, x: Float[ndarray, " n"]) -> float:
         """The same as calling the meter: the value at one point."""
@@ -159,9 +181,7 @@ class MeteredProblem(Problem):
             self._refuse(self._outside(x))
 
     def _check_budget(self) -> None:
-        if self.evaluations >= self._limit or self.best_value <= self._target:
-            raise BudgetExhausted
-        if self._deadline is not None and time.perf_counter() >= self._deadline:
+        if self.spent:
             raise BudgetExhausted
         if self.fault is not None:
             raise InvalidEvaluation(self.fault)
@@ -207,4 +227,6 @@ class MeteredProblem(Problem):
     def _refuse(self, fault: str) -> None:
         """Remember the fault, so that it counts even if a library swallows the exception."""
         self.fault = self.fault or fault
+        if isinstance(self._problem, MeteredProblem):  # this is a part of it
+            self._problem._refuse(fault)
         raise InvalidEvaluation(fault)

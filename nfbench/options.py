@@ -20,7 +20,7 @@ import inspect
 import typing
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, TypeVar, final
 
 from annotated_types import Ge, Gt, Le, Lt
 from pydantic import AfterValidator, ConfigDict, PlainValidator, TypeAdapter, ValidationError
@@ -33,6 +33,7 @@ __all__ = [
     "Gt",
     "Le",
     "Lt",
+    "Named",
     "OneOf",
     "Options",
     "build",
@@ -100,6 +101,8 @@ def _undeclared(cls: type) -> list[str]:
 
 def canonical(value: Any) -> Any:
     """Plain data (dicts, lists, text, numbers) that says everything an option or Options object holds."""
+    if isinstance(value, Named):
+        return {"kind": value.kind, **canonical(value.made)}
     if isinstance(value, Options):
         table = {f.name: canonical(getattr(value, f.name)) for f in dataclasses.fields(value) if f.init}
         kind = getattr(type(value), "kind", None)
@@ -118,6 +121,16 @@ def suggest(name: str, known: Iterable[str]) -> str:
     if near:
         return f'; did you mean "{near[0]}"?'
     return f"; known: {', '.join(known)}" if known else ""
+
+
+@final
+@dataclasses.dataclass(frozen=True)
+class Named:
+    """A plugin as an option of another holds it: what was made, the name it is registered by, and its version."""
+
+    kind: str
+    made: Options
+    version: str
 
 
 class OneOf:
@@ -179,7 +192,7 @@ def _adapters(cls: type[Options]) -> dict[str, TypeAdapter[Any]]:
 
 def _schema(hint: Any) -> Any:
     """The type as pydantic is to see it: tables become objects, which check themselves."""
-    marks = [mark for mark in getattr(hint, "__metadata__", ()) if isinstance(mark, OneOf)]
+    marks = [mark for mark in getattr(hint, "__metadata__", ()) if isinstance(mark, OneOf | PlainValidator)]
     if isinstance(hint, type) and issubclass(hint, Options):
         return Annotated[Any, PlainValidator(functools.partial(_table, hint))]
     return Annotated[Any, marks[0]] if marks else hint
@@ -216,13 +229,13 @@ def _explain(name: str, error: ValidationError) -> list[tuple[str, str]]:
     """A ValidationError of one field as (path, message) pairs in our words."""
     problems: dict[str, list[str]] = {}
     for item in error.errors(include_url=False):
-        inner = item.get("ctx", {}).get("error")
-        if isinstance(inner, OptionError):
-            for path, text in inner.problems:
-                problems.setdefault(f"{name}.{path}" if path else name, []).append(text)
-            continue
         # positions within a list are numbers; what else pydantic puts there names branches of a union
         path = name + "".join(f"[{part}]" for part in item["loc"] if isinstance(part, int))
+        inner = item.get("ctx", {}).get("error")
+        if isinstance(inner, OptionError):
+            for sub, text in inner.problems:
+                problems.setdefault(f"{path}.{sub}" if sub else path, []).append(text)
+            continue
         if item["type"] == "string_pattern_mismatch":
             item["msg"] = f"text that matches {item['ctx']['pattern']}"
         if item["type"] in ("too_long", "too_short"):

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import contextlib
+import contextvars
+import functools
 import hashlib
 import importlib.util
 import inspect
@@ -23,6 +25,8 @@ from .scenario import Extra, Scenario
 from .solver import Solver
 
 __all__ = ["CONTRACTS", "Plugin", "Registry"]
+
+_present: contextvars.ContextVar[Registry | None] = contextvars.ContextVar("present", default=None)
 
 CONTRACTS: dict[str, type[Options]] = {"solver": Solver, "formulation": Formulation, "scenario": Scenario}
 
@@ -101,10 +105,19 @@ class Registry:
     def make(self, kind: str, name: str, options: Mapping[str, Any]) -> Options:
         """Construct a plugin from its options. Raises PluginError, or MissingExtra, or OptionError."""
         plugin = self.find(kind, name)
-        made = build(plugin.resolve(), options)
+        token = _present.set(self)
+        try:
+            made = build(plugin.resolve(), options)
+        finally:
+            _present.reset(token)
         if missing := plugin.missing(made):
             raise MissingExtra(f"{kind} {name} {missing}")
         return made
+
+    @classmethod
+    def present(cls) -> Registry:
+        """The registry that is making a plugin at this moment, else that of what is installed."""
+        return _present.get() or _installed()
 
     def _add(self, plugin: Plugin) -> None:
         other = self._plugins.setdefault((plugin.kind, plugin.name), plugin)
@@ -142,6 +155,11 @@ def _extra(cls: type[Options], made: Options | None) -> Extra | None:
         with contextlib.suppress(OptionError):
             return cast(Scenario, made or build(cls, {})).needed_extra()
     return None
+
+
+@functools.cache
+def _installed() -> Registry:
+    return Registry()
 
 
 def _import_file(file: Path, version: str) -> ModuleType:

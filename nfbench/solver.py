@@ -26,6 +26,7 @@ class SolverInfo:
     converges: drives its best point to high precision (false: samples, like random search).
     reference: authors, year and DOI of the algorithm. requires: modules it imports when it runs, beyond what its
     package always installs; extra: the optional extra of that package that installs them.
+    composed: runs solvers that its options name, and so is in no group.
     """
 
     stochastic: bool = True
@@ -37,6 +38,7 @@ class SolverInfo:
     reference: str = ""
     extra: str | None = None
     requires: tuple[str, ...] = ()
+    composed: bool = False
 
 
 @dataclass(frozen=True)
