@@ -23,7 +23,7 @@ from .errors import (
 from .formulation import Formulation, Minimize
 from .meter import MeteredProblem
 from .minimize import Minimum, minimize
-from .options import FilePath, Ge, Gt, Le, Lt, OneOf, Options
+from .options import FilePath, Ge, Gt, Le, Lt, OneOf, Options, Tune
 from .problem import Problem
 from .scenario import Extra, Instance, ProblemInstance, Scenario
 from .solver import AskTell, AskTellSolver, Solver, SolverInfo
@@ -66,6 +66,7 @@ __all__ = [
     "StoreError",
     "Study",
     "Trace",
+    "Tune",
     "load_study",
     "minimize",
     "run",

@@ -16,7 +16,7 @@ from rich.table import Table
 
 from .errors import OptionError, PluginError
 from .groups import GROUPS
-from .options import Named, OneOf, Options, canonical, suggest
+from .options import Named, OneOf, Options, Tune, canonical, suggest
 from .registry import Registry
 from .solver import Solver, SolverInfo
 
@@ -179,6 +179,8 @@ def _marks(hint: Any) -> tuple[Any, ...]:
 
 
 def _limit(mark: Any) -> str:
+    if isinstance(mark, Tune):
+        return f"(tuned in {mark.low:g} … {mark.high:g})"
     for sign, attribute in ((">=", "ge"), (">", "gt"), ("<=", "le"), ("<", "lt")):
         if abs(getattr(mark, attribute, math.inf)) < math.inf:
             return f"{sign} {getattr(mark, attribute)}"

@@ -208,6 +208,43 @@ def status(folder: Folder) -> None:
 
 
 @app.command()
+def tune(
+    solver: Annotated[str, typer.Argument(metavar="SOLVER", help="A registered solver, e.g. de.")],
+    study: Annotated[Path, typer.Argument(metavar="STUDY.toml", help="The manifest whose scenes it is tuned for.")],
+    budget: Annotated[int | None, typer.Option(min=1, help="Evaluations a problem (default: the study's).")] = None,
+    trials: Annotated[int, typer.Option(min=1, help="Settings to try.")] = 50,
+    training: Annotated[int, typer.Option(min=1, help="Scenes to tune on, at each point of the study.")] = 10,
+    held_out: Annotated[int, typer.Option(min=1, help="Other scenes to compare on, at each point.")] = 30,
+    formulation: Annotated[str | None, typer.Option(metavar="LABEL", help="Which one (default: the first).")] = None,
+    option: GivenOptions = None,
+    seed: Annotated[int, typer.Option(min=0, help="Of the tuner; scenes have the study's.")] = 0,
+    out: Annotated[Path | None, typer.Option(help="Default: results/<study>-tune-<solver>.")] = None,
+    jobs: Annotated[int | None, typer.Option(min=0, help="Worker processes (default: one a core; 0: none).")] = None,
+    plugin: Plugins = None,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Only the result, no trials.")] = False,
+) -> None:
+    """Tune a solver's options on training scenes of a study, and compare with the default on held-out ones."""
+    from .manifest import load_study
+    from .report import TuningView
+    from .tuning import Plan
+    from .tuning import tune as tune_solver
+
+    loaded = load_study(study, plugin or ())
+    for warning in loaded.warnings:
+        _warn(warning)
+    given = dict(_option(text) for text in option or ())
+    plan = Plan(solver, given, formulation, budget, trials, training, held_out, seed)
+    folder = out or Path("results") / f"{loaded.name}-tune-{solver}"
+    view = TuningView(_console(), quiet)
+    try:
+        found = tune_solver(loaded, plan, folder, os.cpu_count() or 1 if jobs is None else jobs, view.trial)
+    except KeyboardInterrupt:  # before the first trial
+        raise typer.Exit(INTERRUPTED) from None
+    view.result(found, folder)
+    raise typer.Exit(INTERRUPTED if found.interrupted else OK)
+
+
+@app.command()
 def merge(
     folders: Annotated[list[Path], typer.Argument(metavar="DIR...", help="Folders of one study, e.g. its shards.")],
     out: Annotated[Path, typer.Option(help="The folder to join them in.")],

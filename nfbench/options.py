@@ -36,6 +36,7 @@ __all__ = [
     "Named",
     "OneOf",
     "Options",
+    "Tune",
     "build",
     "canonical",
     "relative_to",
@@ -121,6 +122,23 @@ def suggest(name: str, known: Iterable[str]) -> str:
     if near:
         return f'; did you mean "{near[0]}"?'
     return f"; known: {', '.join(known)}" if known else ""
+
+
+@final
+@dataclasses.dataclass(frozen=True)
+class Tune:
+    """Annotation of a number: the range in which ``nfbench tune`` looks for it, both ends included; no limit on it.
+
+    log: an octave counts as much at the low end as at the high one.
+    """
+
+    low: float
+    high: float
+    log: bool = False
+
+    def __post_init__(self) -> None:
+        if not self.low < self.high or (self.log and self.low <= 0):
+            raise ValueError(f"Tune: expected low < high, and low > 0 where log, got {self}")
 
 
 @final

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from typing import Any
+from pathlib import Path
+from typing import Any, final
 
 import numpy as np
 import pandas as pd
@@ -17,8 +18,9 @@ from .budget import Status
 from .merge import Comparison
 from .results import Results
 from .tables import default_groups
+from .tuning import Trial, Tuning
 
-__all__ = ["print_comparison", "print_report", "verdict"]
+__all__ = ["TuningView", "print_comparison", "print_report", "verdict"]
 
 MIN_PAIRS = 6  # with fewer pairs no two-sided test at 5 % can tell two methods apart: 2·(1/2)⁶ = 0.03
 RESAMPLES = 4000
@@ -107,6 +109,48 @@ def print_comparison(found: Comparison, console: Console) -> None:
         console.print("It matters: runs are missing, a status changed, or an error left its 95\u00a0% interval.")
     else:
         console.print("It does not matter: every error stays within its 95\u00a0% interval." if len(found.rows) else "")
+
+
+@final
+class TuningView:
+    """Shows a tuning: unless ``quiet`` each trial that is the best so far, and what came of it."""
+
+    def __init__(self, console: Console, quiet: bool = False) -> None:
+        self.console, self.quiet = console, quiet
+        self.best = math.inf
+
+    def trial(self, trial: Trial) -> None:
+        """A trial has ended."""
+        if trial.score < self.best and not self.quiet:
+            self.best = trial.score
+            options = ", ".join(f"{name} = {value}" for name, value in trial.options.items())
+            text = f"trial {trial.number}: {_number(10**trial.score)} with {options}"
+            self.console.print(text, markup=False, soft_wrap=True)
+
+    def result(self, found: Tuning, folder: Path) -> None:
+        """The best setting beside the default, on training and on held-out scenes."""
+        first, best, plan = found.trials[0], found.best, found.plan
+        unit = " m" if found.error.endswith("_m") else ""
+        table = Table(box=SIMPLE_HEAD, pad_edge=False)
+        for head in ("option", "default", "tuned"):
+            table.add_column(head, overflow="fold")
+        for name, value in first.options.items():
+            table.add_row(*(escape(str(cell)) for cell in (name, value, best.options[name])))
+        self.console.print(table)
+        failed = sum(math.isnan(trial.score) for trial in found.trials)
+        self.console.print(
+            f"On {plan.training * len(found.study.points)} training scenes, for {found.method.formulation.label}: "
+            f"{_number(10**best.score)}{unit}, with the default {_number(10**first.score)}{unit} (geometric mean of "
+            f"{found.error}; that of the best of {len(found.trials)} flatters it)."
+            + (f" {failed} settings failed; trials.csv says why." if failed else ""),
+            markup=False,
+        )
+        if found.held_out is not None:
+            self.console.print(_table("held out", found.held_out, found.error, found.study.outlier_m, self.console))
+        self.console.print(found.verdict, markup=False)
+        if found.interrupted:
+            self.console.print(f"Interrupted after {len(found.trials)} of {plan.trials + 1} trials.")
+        self.console.print(f"\nWritten to {folder}/: tuned.toml, trials.csv", soft_wrap=True)
 
 
 def _frame(frame: pd.DataFrame) -> Table:

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from nfbench import AskTellSolver, Ge, Gt, Le, MeteredProblem, SolverInfo
+from nfbench import AskTellSolver, Ge, Gt, Le, MeteredProblem, SolverInfo, Tune
 
 from .finite import Finite
 
@@ -35,8 +35,8 @@ class CMAES(AskTellSolver):
         spend about the same; "none": one run.
     """
 
-    sigma0: Annotated[float, Gt(0.0), Le(1.0)] = 0.25
-    population: Annotated[int, Ge(2)] | None = None
+    sigma0: Annotated[float, Gt(0.0), Le(1.0), Tune(0.02, 1.0, log=True)] = 0.25
+    population: Annotated[int, Ge(2), Tune(4, 100, log=True)] | None = None
     restarts: Literal["none", "ipop", "bipop"] = "bipop"
 
     info: ClassVar[SolverInfo] = SolverInfo(

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 
-from nfbench import Ge, Le, MeteredProblem, Solver, SolverInfo
+from nfbench import Ge, Le, MeteredProblem, Solver, SolverInfo, Tune
 
 __all__ = ["CrowdingDE"]
 
@@ -31,8 +31,8 @@ class CrowdingDE(Solver):
     A coordinate outside the box comes back halfway between the bound it passed and its parent's.
     """
 
-    population: Annotated[int, Ge(4)] = 100
-    F: Annotated[float, Ge(0.0), Le(2.0)] = 0.5
+    population: Annotated[int, Ge(4), Tune(20, 400, log=True)] = 100
+    F: Annotated[float, Ge(0.0), Le(2.0), Tune(0.2, 1.0)] = 0.5
     CR: Annotated[float, Ge(0.0), Le(1.0)] = 0.9
     neighbors: Annotated[int, Ge(3)] | None = None
 

@@ -13,7 +13,7 @@ from jaxtyping import Float, Int
 from numba import types
 from numpy import ndarray
 
-from nfbench import Ge, Le, MeteredProblem, Solver, SolverInfo
+from nfbench import Ge, Le, MeteredProblem, Solver, SolverInfo, Tune
 from nfbench.compiled import compiled, load
 
 __all__ = ["DE"]
@@ -65,7 +65,7 @@ class DE(Solver):
     (mod N), and what is left of it, each takes the card at ⌊number · cards left⌋, counted from 0.
     """
 
-    population: Annotated[int, Ge(4)] = 50
+    population: Annotated[int, Ge(4), Tune(10, 200, log=True)] = 50
     strategy: Literal[
         "rand/1/bin",
         "rand/1/exp",
@@ -80,7 +80,7 @@ class DE(Solver):
         "rand-to-best/1/bin",
         "rand-to-best/1/exp",
     ] = "rand/1/bin"
-    F: Annotated[float, Ge(0.0), Le(2.0)] = 0.5
+    F: Annotated[float, Ge(0.0), Le(2.0), Tune(0.2, 1.0)] = 0.5
     CR: Annotated[float, Ge(0.0), Le(1.0)] = 0.8
     bounds: Literal["clip", "midpoint", "reflect", "resample"] = "clip"
     generations: Annotated[int, Ge(1)] | None = None

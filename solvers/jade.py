@@ -7,7 +7,7 @@ from typing import Annotated, ClassVar
 
 import numpy as np
 
-from nfbench import Ge, Gt, Le, MeteredProblem, Solver, SolverInfo
+from nfbench import Ge, Gt, Le, MeteredProblem, Solver, SolverInfo, Tune
 
 from .adaptive import (
     Archive,
@@ -33,9 +33,9 @@ class JADE(Solver):
     archive: keep up to NP parents that were replaced, to draw differences from.
     """
 
-    population: Annotated[int, Ge(4)] | None = None
-    p: Annotated[float, Gt(0.0), Le(1.0)] = 0.05
-    c: Annotated[float, Ge(0.0), Le(1.0)] = 0.1
+    population: Annotated[int, Ge(4), Tune(10, 200, log=True)] | None = None
+    p: Annotated[float, Gt(0.0), Le(1.0), Tune(0.02, 0.5, log=True)] = 0.05
+    c: Annotated[float, Ge(0.0), Le(1.0), Tune(0.01, 0.5, log=True)] = 0.1
     archive: bool = True
 
     info: ClassVar[SolverInfo] = SolverInfo(

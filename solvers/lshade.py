@@ -7,7 +7,7 @@ from typing import Annotated, ClassVar
 
 import numpy as np
 
-from nfbench import Ge, Gt, Le, MeteredProblem, Solver, SolverInfo
+from nfbench import Ge, Gt, Le, MeteredProblem, Solver, SolverInfo, Tune
 
 from .adaptive import (
     Archive,
@@ -42,10 +42,10 @@ class LSHADE(Solver):
         budget has no limit in evaluations either, the problem is declined.
     """
 
-    population: Annotated[int, Ge(4)] | None = None
-    archive_rate: Annotated[float, Ge(0.0)] = 2.6
-    p: Annotated[float, Gt(0.0), Le(1.0)] = 0.11
-    memory: Annotated[int, Ge(1)] = 6
+    population: Annotated[int, Ge(4), Tune(10, 400, log=True)] | None = None
+    archive_rate: Annotated[float, Ge(0.0), Tune(0.0, 4.0)] = 2.6
+    p: Annotated[float, Gt(0.0), Le(1.0), Tune(0.02, 0.5, log=True)] = 0.11
+    memory: Annotated[int, Ge(1), Tune(2, 50, log=True)] = 6
     evaluations: Annotated[int, Ge(1)] | None = None
 
     info: ClassVar[SolverInfo] = SolverInfo(

@@ -7,7 +7,7 @@ from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 
-from nfbench import Ge, Gt, Le, MeteredProblem, Solver, SolverInfo
+from nfbench import Ge, Gt, Le, MeteredProblem, Solver, SolverInfo, Tune
 
 __all__ = ["PSO"]
 
@@ -27,11 +27,11 @@ class PSO(Solver):
     half the way to another uniform point as velocity, which the standard leaves open.
     """
 
-    swarm: Annotated[int, Ge(2)] = 50
+    swarm: Annotated[int, Ge(2), Tune(10, 200, log=True)] = 50
     topology: Literal["global", "ring"] = "global"
-    chi: Annotated[float, Gt(0.0), Le(1.0)] = 0.72984
-    c1: Annotated[float, Ge(0.0)] = 2.05
-    c2: Annotated[float, Ge(0.0)] = 2.05
+    chi: Annotated[float, Gt(0.0), Le(1.0), Tune(0.4, 1.0)] = 0.72984
+    c1: Annotated[float, Ge(0.0), Tune(0.0, 4.0)] = 2.05
+    c2: Annotated[float, Ge(0.0), Tune(0.0, 4.0)] = 2.05
 
     info: ClassVar[SolverInfo] = SolverInfo(
         batched=True,

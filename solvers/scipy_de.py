@@ -11,7 +11,7 @@ from numpy import ndarray
 from scipy.optimize import Bounds, differential_evolution
 from scipy.stats import qmc
 
-from nfbench import Ge, Le, MeteredProblem, Solver, SolverInfo
+from nfbench import Ge, Le, MeteredProblem, Solver, SolverInfo, Tune
 
 __all__ = ["ScipyDE"]
 
@@ -32,7 +32,7 @@ class ScipyDE(Solver):
     polish: when ended by ``tol``, refine the best by L-BFGS-B with what is left of the budget.
     """
 
-    population: Annotated[int, Ge(5)] = 50
+    population: Annotated[int, Ge(5), Tune(10, 200, log=True)] = 50
     strategy: Literal[
         "best1bin",
         "best1exp",

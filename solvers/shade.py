@@ -7,7 +7,7 @@ from typing import Annotated, ClassVar
 
 import numpy as np
 
-from nfbench import Ge, MeteredProblem, Solver, SolverInfo
+from nfbench import Ge, MeteredProblem, Solver, SolverInfo, Tune
 
 from .adaptive import (
     Archive,
@@ -32,8 +32,8 @@ class SHADE(Solver):
     memory: H, the means remembered.
     """
 
-    population: Annotated[int, Ge(4)] = 100
-    memory: Annotated[int, Ge(1)] = 100
+    population: Annotated[int, Ge(4), Tune(10, 200, log=True)] = 100
+    memory: Annotated[int, Ge(1), Tune(2, 200, log=True)] = 100
 
     info: ClassVar[SolverInfo] = SolverInfo(
         batched=True, reference="Tanabe & Fukunaga 2013, doi:10.1109/CEC.2013.6557555"

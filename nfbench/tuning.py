@@ -1,0 +1,376 @@
+"""Tunes a solver's options on training scenes of a study, and says on other scenes what that is worth."""
+
+from __future__ import annotations
+
+import contextlib
+import csv
+import importlib.util
+import json
+import math
+import warnings
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, TextIO, TypeAlias, cast, final
+
+import numpy as np
+import pandas as pd
+from jaxtyping import Float
+from numpy import ndarray
+from threadpoolctl import threadpool_limits
+
+from .budget import Budget, Status
+from .choices import Chooser, Problems
+from .errors import MissingExtra, NfbenchError, PluginError, StoreError
+from .execute import RunRecord, execute
+from .isolation import Isolated
+from .options import Tune, canonical, suggest
+from .registry import Registry
+from .scenario import Scenario
+from .solver import Solver
+from .space import Domain, domains
+from .study import Choice, Method, RunSpec, Study
+from .tables import summarize
+
+__all__ = ["Plan", "Trial", "Tuning", "judge", "tune"]
+
+FLOOR = 1e-12  # an error below counts as this
+DIGITS = 4  # of a tuned number
+MIN_PAIRS = 6  # as in a study's report: fewer tell nothing
+RESAMPLES = 4000
+LEVEL = 0.01  # a smaller change of the error is none
+
+Run: TypeAlias = Callable[[Sequence[RunSpec]], list[RunRecord]]
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What is tuned and how.
+
+    options: of the solver, that stay as they are. formulation: its label in the study; None: the first that needs a
+    solver. evaluations: for each problem; None: the study's budget. trials: settings tried, beside the default.
+    training, held_out: scenes at each point of the study. seed: of the tuner; the scenes have the study's.
+    """
+
+    solver: str
+    options: Mapping[str, Any] = field(default_factory=dict)
+    formulation: str | None = None
+    evaluations: int | None = None
+    trials: int = 50
+    training: int = 10
+    held_out: int = 30
+    seed: int = 0
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One setting on the training scenes: its score, NaN where a run failed or the setting is impossible, and why."""
+
+    number: int
+    options: dict[str, Any]
+    score: float
+    message: str = ""
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """What came of it.
+
+    trials: in order, the first being the default. best: the one of the least score. method: formulation and budget.
+    error: the score of a run that was minimized. held_out: rows of ``tables.summarize`` for "default" and "tuned";
+    None where the default is the best, or it was interrupted before. verdict: what the held-out scenes say.
+    """
+
+    plan: Plan
+    study: Study
+    method: Method
+    error: str
+    trials: list[Trial]
+    best: Trial
+    held_out: pd.DataFrame | None
+    verdict: str
+    interrupted: bool = False
+
+
+def tune(
+    study: Study, plan: Plan, out: Path, jobs: int = 0, told: Callable[[Trial], None] = lambda trial: None
+) -> Tuning:
+    """Search the solver's options for the least mean log error on training scenes, and compare on held-out ones.
+
+    A trial's score is the mean over scenes of log10 of the study's error, or of ``gospa_m`` where the default does not
+    find the true number of sources in each. Held-out scenes are the study's first repetitions; those of training begin
+    behind them and behind all that the study has. Settings come from Optuna's TPE, one after the other, so that
+    they are a function of study and plan, whatever ``jobs``. Writes ``trials.csv``, a row a trial as it ends, and
+    ``tuned.toml`` to ``out``. After KeyboardInterrupt, what was tried until then counts.
+
+    Raises NfbenchError where the plan does not fit the study or no setting runs through, MissingExtra without Optuna.
+    """
+    if importlib.util.find_spec("optuna") is None:
+        raise MissingExtra("tuning needs optuna, not installed here: pip install 'nfbench[optuna]'")
+    search = _Search(study, plan)
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        with (out / "trials.csv").open("w", encoding="utf-8", newline="") as file:
+            found = search.tuning(file, jobs, told)
+        (out / "tuned.toml").write_text(_toml(found), encoding="utf-8")
+    except OSError as error:
+        raise StoreError(f"{out}: {error.strerror or error}") from error
+    return found
+
+
+@final
+class _Search:
+    """One tuning in progress."""
+
+    def __init__(self, study: Study, plan: Plan) -> None:
+        self.study, self.plan = study, plan
+        self.method = _method(study, plan)
+        self.registry = Registry(study.plugins)
+        default = self.registry.make("solver", plan.solver, plan.options)
+        self.domains = {name: d for name, d in domains(type(default)).items() if name not in plan.options}
+        if not self.domains:
+            raise NfbenchError(f"{plan.solver} has no option to tune: no bool, Literal, or number with a range or Tune")
+        self.default = {name: canonical(getattr(default, name)) for name in self.domains}
+        self.error = study.error
+        self.scores: dict[str, tuple[float, str]] = {}
+        self.trials: list[Trial] = []
+
+    def tuning(self, file: TextIO, jobs: int, told: Callable[[Trial], None]) -> Tuning:
+        frame, verdict, interrupted = None, "It was interrupted before held-out scenes were run.", False
+        try:
+            _warm_up(self.study, self.registry, self.plan)
+            with _runner(self.study.plugins, jobs) as run:
+                self._search(run, file, told)
+                if self._best().number == 0:
+                    verdict = f"No setting of {self.plan.trials} is better on the training scenes: keep the default."
+                else:
+                    frame, verdict = self._compare(run)
+        except KeyboardInterrupt:
+            interrupted = True
+            if not self.trials:
+                raise
+        plan, study, method = self.plan, self.study, self.method
+        best = self._best()
+        return Tuning(plan, study, method, self.error, self.trials, best, frame, verdict, interrupted)
+
+    def _best(self) -> Trial:
+        valid = [trial for trial in self.trials if not math.isnan(trial.score)]
+        if not valid:
+            raise NfbenchError(f"no setting of {self.plan.solver} ran through; the default: {self.trials[0].message}")
+        return min(valid, key=lambda trial: trial.score)
+
+    def _search(self, run: Run, file: TextIO, told: Callable[[Trial], None]) -> None:
+        import optuna
+
+        rows = csv.writer(file)
+        rows.writerow(["trial", "score", "message", *self.domains])
+
+        def keep(options: dict[str, Any]) -> Trial:
+            trial = Trial(len(self.trials), options, *self._score(options, run))
+            self.trials.append(trial)
+            score = "" if math.isnan(trial.score) else repr(trial.score)
+            rows.writerow([trial.number, score, trial.message, *(options[name] for name in self.domains)])
+            file.flush()
+            told(trial)
+            return trial
+
+        with _quiet(optuna.logging):
+            where = {name: _distribution(domain, optuna.distributions) for name, domain in self.domains.items()}
+            tuner = optuna.create_study(sampler=optuna.samplers.TPESampler(seed=self.plan.seed, multivariate=True))
+            default = keep(self.default)
+            if not math.isnan(default.score) and all(_within(self.default[n], d) for n, d in self.domains.items()):
+                known = optuna.trial.create_trial(params=self.default, distributions=where, value=default.score)
+                tuner.add_trial(known)
+            for _ in range(self.plan.trials):
+                asked = tuner.ask(where)
+                trial = keep({name: _rounded(asked.params[name], domain) for name, domain in self.domains.items()})
+                if math.isnan(trial.score):
+                    tuner.tell(asked, state=optuna.trial.TrialState.FAIL)
+                else:
+                    tuner.tell(asked, trial.score)
+
+    def _score(self, options: dict[str, Any], run: Run) -> tuple[float, str]:
+        """A setting's score on the training scenes, and what went wrong."""
+        problems = Problems()
+        table = {"kind": self.plan.solver, **self.plan.options, **options}
+        chosen = Chooser(self.registry, problems).choose("solver", table, self.plan.solver)
+        if chosen is None:
+            return math.nan, "; ".join(problems.texts)
+        key = json.dumps(chosen[0].identity, sort_keys=True)
+        if key not in self.scores:
+            first = max(self.study.repetitions, self.plan.held_out)
+            records = run(self._specs(chosen[0], range(first, first + self.plan.training)))
+            if not self.scores and any(_miscounted(record) for record in records):
+                self.error = "gospa_m"
+            self.scores[key] = self._mean_log(records)
+        return self.scores[key]
+
+    def _mean_log(self, records: list[RunRecord]) -> tuple[float, str]:
+        for record in records:
+            if record.status is not Status.OK:
+                return math.nan, f"{record.status}: {record.message}"
+        errors = self._errors(records)
+        if np.isnan(errors).any():
+            return math.nan, f"a run without {self.error}"
+        return float(np.log10(errors).mean()), ""
+
+    def _errors(self, records: list[RunRecord]) -> Float[ndarray, " runs"]:
+        """The error of each run, NaN where it has none."""
+        ok = [record.scores.get(self.error, math.nan) if record.status is Status.OK else math.nan for record in records]
+        return np.maximum(ok, FLOOR)
+
+    def _specs(self, solver: Choice, repetitions: range) -> list[RunSpec]:
+        study = replace(self.study, methods=(replace(self.method, solver=solver),))
+        points = len(study.points)
+        return [study.spec(repetition * points + point) for repetition in repetitions for point in range(points)]
+
+    def _compare(self, run: Run) -> tuple[pd.DataFrame, str]:
+        """Default and best on held-out scenes."""
+        rows, errors = [], {}
+        for name, options in (("default", self.default), ("tuned", self._best().options)):
+            table = {"kind": self.plan.solver, **self.plan.options, **options}
+            chosen = Chooser(self.registry, Problems()).choose("solver", table, "solver")
+            assert chosen is not None  # it ran on training scenes
+            records = run(self._specs(chosen[0], range(self.plan.held_out)))
+            errors[name] = self._errors(records)
+            rows += [
+                {
+                    "method": name,
+                    "status": record.status,
+                    "evaluations": float(record.evaluations),
+                    "runtime_s": record.runtime_s,
+                    **record.scores,
+                }
+                for record in records
+            ]
+        frame = summarize(pd.DataFrame(rows), ["method"], error=self.error, outlier_m=self.study.outlier_m)
+        return frame, judge(errors["default"], errors["tuned"])
+
+
+def judge(default: Float[ndarray, " scenes"], tuned: Float[ndarray, " scenes"]) -> str:
+    """What paired errors say: by what factor tuning changes them, and whether that can be told from none.
+
+    The factor is the geometric mean of tuned/default over scenes where both have an error, with the 95 % percentile
+    bootstrap interval over scenes. It counts where the interval lies beyond 1 % of no change.
+    """
+    logs = np.log(tuned) - np.log(default)
+    logs = logs[~np.isnan(logs)]
+    n = len(logs)
+    if n < MIN_PAIRS:
+        return f"{n} held-out scenes with both errors do not tell: take {MIN_PAIRS} or more, better 100."
+    rng = np.random.default_rng(0)
+    means = logs[rng.integers(n, size=(RESAMPLES, n))].mean(axis=1)
+    factor, low, high = np.exp([logs.mean(), *np.quantile(means, [0.025, 0.975])])
+    interval = f"95\u00a0% paired bootstrap {low:.3g} – {high:.3g}"
+    found = f"{factor:.3g} times the default's error on {n} held-out scenes ({interval})"
+    if high < 1 - LEVEL:
+        return f"The tuned setting has {found}: it is better."
+    if low > 1 + LEVEL:
+        return f"The tuned setting has {found}: it is worse, and only fitted the training scenes. Keep the default."
+    if low >= 1 - LEVEL and high <= 1 + LEVEL:
+        return f"The tuned setting has {found}: that is the same within {LEVEL:.0%}. Keep the default."
+    return f"The tuned setting has {found}: they cannot be told apart. Take more scenes, or keep the default."
+
+
+def _method(study: Study, plan: Plan) -> Method:
+    """The formulation to tune for, with its budget."""
+    usable = {method.formulation.label: method for method in reversed(study.methods) if method.solver}
+    if not usable:
+        raise NfbenchError(f"study {study.name} has no formulation that needs a solver")
+    first = next(method.formulation.label for method in study.methods if method.solver)
+    label = first if plan.formulation is None else plan.formulation
+    if label not in usable:
+        raise NfbenchError(f"--formulation: study {study.name} has no {label!r} with a solver{suggest(label, usable)}")
+    method = usable[label]
+    if plan.evaluations is None:
+        return method
+    target = (method.budget or {}).get("target")
+    return replace(method, budget=canonical(Budget(evaluations=plan.evaluations, target=target)))
+
+
+def _warm_up(study: Study, registry: Registry, plan: Plan) -> None:
+    """Once here, where its messages are seen and no clock runs."""
+    scenario = study.points[0].scenario
+    if scenario.broken:
+        raise PluginError(scenario.broken)
+    cast(Scenario, registry.make("scenario", scenario.kind, scenario.options)).warm_up()
+    cast(Solver, registry.make("solver", plan.solver, plan.options)).warm_up()
+
+
+@contextlib.contextmanager
+def _runner(plugins: tuple[str, ...], jobs: int) -> Iterator[Run]:
+    """Runs specs and gives their records in the same order, in ``jobs`` processes or, with 0, in this one."""
+    if jobs == 0:
+        registry = Registry(plugins)
+        with threadpool_limits(1):
+            yield lambda specs: [execute(spec, registry) for spec in specs]
+        return
+    with Isolated(plugins, jobs) as workers:
+        yield lambda specs: [future.result() for future in [workers.submit(spec) for spec in specs]]
+
+
+def _miscounted(record: RunRecord) -> bool:
+    return record.scores.get("sources_found") != record.scores.get("sources")
+
+
+def _distribution(domain: Domain, distributions: Any) -> Any:
+    if not isinstance(domain, Tune):
+        return distributions.CategoricalDistribution(domain)
+    whole = isinstance(domain.low, int)
+    kind = distributions.IntDistribution if whole else distributions.FloatDistribution
+    return kind(domain.low, domain.high, log=domain.log)
+
+
+def _within(value: Any, domain: Domain) -> bool:
+    if not isinstance(domain, Tune):
+        return value in domain
+    return value is not None and domain.low <= value <= domain.high
+
+
+def _rounded(value: Any, domain: Domain) -> Any:
+    """A value as it is tried and written down: a float of few digits, still within its range."""
+    if not isinstance(domain, Tune) or isinstance(value, int):
+        return value
+    return min(max(float(f"{value:.{DIGITS}g}"), domain.low), domain.high)
+
+
+@contextlib.contextmanager
+def _quiet(logging: Any) -> Iterator[None]:
+    """Optuna's messages off within this context: it tells of every trial."""
+    level = logging.get_verbosity()
+    logging.set_verbosity(logging.ERROR)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # multivariate TPE is called experimental
+            yield
+    finally:
+        logging.set_verbosity(level)
+
+
+def _toml(found: Tuning) -> str:
+    """``tuned.toml``: a ``[[solver]]`` table to paste, and where it comes from."""
+    plan, budget = found.plan, found.method.budget or {}
+    spent = " and ".join(f"{value:g} {name}" for name, value in budget.items() if value is not None)
+    settings = {name: value for name, value in {**plan.options, **found.best.options}.items() if value is not None}
+    lines = [
+        f"# {plan.solver} tuned for study {found.study.name}, formulation {found.method.formulation.label}, {spent}:",
+        f"# {len(found.trials) - 1} trials on {plan.training} training scenes a point, seed {plan.seed}.",
+        f"# {found.verdict}".replace("\u00a0", " "),
+        "[[solver]]",
+        f"kind = {_value(plan.solver)}",
+        f"label = {_value(plan.solver + ' tuned')}",
+        *(f"{name} = {_value(value)}" for name, value in settings.items()),
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _value(value: Any) -> str:
+    """A value in TOML."""
+    if isinstance(value, Mapping):
+        inside = ", ".join(f"{json.dumps(name)} = {_value(item)}" for name, item in value.items())
+        return f"{{ {inside} }}"
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(_value, value))}]"
+    if isinstance(value, float):
+        return repr(value)  # inf and nan are TOML too
+    return json.dumps(value, ensure_ascii=False)
