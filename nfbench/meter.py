@@ -181,7 +181,9 @@ class MeteredProblem(Problem):
             self._refuse(self._outside(x))
 
     def _check_budget(self) -> None:
-        if self.spent:
+        if self.evaluations >= self._limit or self.best_value <= self._target:  # ``spent``, written out as it is faster
+            raise BudgetExhausted
+        if self._deadline is not None and time.perf_counter() >= self._deadline:
             raise BudgetExhausted
         if self.fault is not None:
             raise InvalidEvaluation(self.fault)
