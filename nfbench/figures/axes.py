@@ -21,6 +21,7 @@ from .labels import Places, plain, text_of
 __all__ = ["error_axis", "legend_below", "new_figure", "swept_axis"]
 
 _PER_INCH = {"x": 2.2, "y": 3.5}  # labels that fit
+_CHARACTER, _LINE, _GAP = 0.07, 0.12, 0.03  # [in] of a label: a character's width, its height, the space between
 _LEAST = 1.6  # an axis spans at least this ratio, so that noise does not look like a difference
 _MARGIN = 0.05
 
@@ -111,6 +112,13 @@ def _log_ticks(
     rows, columns = ax.get_subplotspec().get_gridspec().get_geometry()  # type: ignore[union-attr]
     inches = 0.75 * figure.get_figwidth() / columns if which == "x" else 0.8 * figure.get_figheight() / rows
     most = max(int(inches * _PER_INCH[which]), 2)
+
+    def fits(ticks: ndarray) -> bool:
+        """Whether labels that stand at these ticks leave a gap to their neighbours."""
+        places = inches * np.log(ticks / low) / math.log(high / low)
+        sizes = np.array([_CHARACTER * _length(tick) if which == "x" else _LINE for tick in ticks])
+        return _width(ticks) <= most and bool((np.diff(places) > (sizes[1:] + sizes[:-1]) / 2 + _GAP).all())
+
     first, last = math.floor(math.log10(low)), math.ceil(math.log10(high))
     decades = 10.0 ** np.arange(first, last + 1)
     steps = [decades[start::step] for step in range(1, len(decades)) for start in range(step)]
@@ -118,7 +126,8 @@ def _log_ticks(
     round_ones = MaxNLocator(nbins=most).tick_values(low, high)
     choices = steps + finer if len(_within(decades, low, high)) > 2 else [*finer, decades, round_ones]
     found = [ticks for choice in choices if len(ticks := _within(choice, low, high)) > 1] or [np.array([low, high])]
-    ticks = next((ticks for ticks in found if _width(ticks) <= most), min(found, key=_width))
+    ends = [ticks[[0, -1]] for ticks in found]
+    ticks = next(filter(fits, [*found, *ends]), max(ends, key=lambda pair: pair[1] / pair[0]))
     minor = np.outer(decades, np.arange(1, 10)).ravel() if len(decades) <= 8 else decades
     axis = ax.xaxis if which == "x" else ax.yaxis
     _ticks(axis, [*extra, *ticks], [*names, *map(_decimal, ticks)], _within(minor, low, high))
@@ -127,6 +136,12 @@ def _log_ticks(
 def _width(ticks: ndarray) -> float:
     """In labels: those with a factor before a power of ten count twice."""
     return sum(2 if r"\times" in _decimal(tick) else 1 for tick in ticks)
+
+
+def _length(tick: float) -> int:
+    """Of a label, in characters; the mathematics of a power of ten are no characters."""
+    text = _decimal(tick)
+    return len(text) if "$" not in text else 8 if r"\times" in text else 4
 
 
 def _within(ticks: Any, low: float, high: float) -> ndarray:
