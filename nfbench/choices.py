@@ -71,7 +71,8 @@ class Chooser:
                 problems.add(f"{path}.kind", str(error))
                 return None
             why = "; ".join(f"plugin {file.name}: {text}" for file, text in self.registry.broken.items())
-            return self._keep(kind, Choice(name, label, canonical(options), digest(why), f"{error} ({why})")), None
+            given = canonical(options)
+            return self._keep(kind, Choice(name, label, given, given, digest(why), f"{error} ({why})")), None
         try:
             made = self.registry.make(kind, name, options)
         except OptionError as error:
@@ -81,10 +82,11 @@ class Chooser:
             problems.add(f"{path}.kind", str(error))
             return None
         except PluginError as error:
-            return self._keep(kind, Choice(name, label, canonical(options), plugin.version, str(error))), None
-        plain = {key: value for key, value in canonical(made).items() if key != "kind"}
+            given = canonical(options)
+            return self._keep(kind, Choice(name, label, given, given, plugin.version, str(error))), None
+        plain, chosen = _without_kind(canonical(made)), _without_kind(canonical(made, defaults=False))
         version = "+".join(dict.fromkeys([plugin.version, *versions(made)]))
-        return self._keep(kind, Choice(name, label, plain, version)), made
+        return self._keep(kind, Choice(name, label, plain, chosen, version)), made
 
     def group(self, table: Mapping[str, Any], path: str) -> list[tuple[Choice, Options | None]]:
         """The choices that ``{group = …, exclude = […]}`` stands for; none, with the problems noted, if it is wrong."""
@@ -92,13 +94,13 @@ class Chooser:
             self.problems.add(path, f"expected a kind or a group, got both: {table['kind']!r} and {table['group']!r}")
             return []
         try:
-            names, left_out = members(self.registry, dict(table))
+            tables, left_out = members(self.registry, dict(table))
         except OptionError as error:
             self.problems.of(path, error)
             return []
-        self.warnings += [text for text in left_out if text not in self.warnings]
-        chosen = [self.choose("solver", {"kind": name}, f"{path}.group: {name}") for name in names]
-        return [choice for choice in chosen if choice]
+        self.warnings = list(dict.fromkeys([*self.warnings, *left_out]))
+        chosen = [self.choose("solver", table, f"{path}.{where}") for where, table in tables.items()]
+        return list({digest(choice[0].identity): choice for choice in chosen if choice}.values())
 
     def labelled(self, kind: str, choice: Choice) -> Choice:
         """The choice with its final label: its own, or its kind, made unique by the options that differ."""
@@ -128,6 +130,10 @@ class Chooser:
         ]
         shown = ", ".join(f"{key}={_plain(choice.options[key])}" for key in differing)
         return f"{choice.kind}({shown})" if shown else choice.kind
+
+
+def _without_kind(table: dict[str, Any]) -> dict[str, Any]:
+    return {key: value for key, value in table.items() if key != "kind"}
 
 
 def _plain(value: Any) -> str:

@@ -31,11 +31,13 @@ class Group(Options):
 
     Solvers over solvers, such as a portfolio, are in none.
 
-    exclude: names of solvers that are left out.
+    exclude: names of solvers that are left out. include: further solvers as tables, such as single algorithms of a
+    wrapped library; the group has them where they are installed.
     """
 
     group: str
     exclude: tuple[str, ...] = ()
+    include: tuple[dict[str, Any], ...] = ()
 
     def validate(self) -> None:
         if self.group not in GROUPS:
@@ -43,20 +45,22 @@ class Group(Options):
             raise OptionError(type(self).__name__, [("group", f"unknown group {self.group!r}{known}")])
 
 
-def members(registry: Registry, table: dict[str, Any]) -> tuple[list[str], list[str]]:
-    """The names of the solvers that ``{group = …, exclude = […]}`` stands for, sorted; and what is left out, and why.
+def members(registry: Registry, table: dict[str, Any]) -> tuple[dict[str, dict[str, Any]], list[str]]:
+    """What ``{group = …, exclude = […], include = […]}`` stands for, and what is left out, and why.
 
-    Left out are solvers that fail to import; those whose extra is not installed do not count. Raises OptionError for
-    an unknown key, group or excluded name.
+    The first holds each solver's table by where it comes from, those of the group sorted by name and then those it
+    includes. Left out are solvers that fail to import and included ones that are not installed; others of the group
+    that are not installed do not count. Raises OptionError for an unknown key, group, or name to exclude or include.
     """
     group = build(Group, table)
     known = registry.names("solver")
+    named = [(f"exclude[{i}]", name) for i, name in enumerate(group.exclude)]
+    named += [(f"include[{i}].kind", extra.get("kind")) for i, extra in enumerate(group.include)]
     problems = [
-        (f"exclude[{i}]", f"unknown solver {name!r}{suggest(name, known)}")
-        for i, name in enumerate(group.exclude)
-        if name not in known
+        (path, f"unknown solver {name!r}{suggest(str(name), known)}") for path, name in named if name not in known
     ]
-    names, left_out = [], []
+    found: dict[str, dict[str, Any]] = {}
+    left_out = []
     for name in sorted({*known} - {*group.exclude}):
         plugin = registry.find("solver", name)
         try:
@@ -66,9 +70,21 @@ def members(registry: Registry, table: dict[str, Any]) -> tuple[list[str], list[
             left_out.append(f"{error}; it is left out of group {group.group}")
             continue
         if GROUPS[group.group](info) and not info.composed and not missing:
-            names.append(name)
-    if not names and not problems:
+            found[f"group: {name}"] = {"kind": name}
+    for i, extra in enumerate(group.include):
+        if extra.get("kind") not in known:
+            continue
+        try:
+            missing = registry.find("solver", extra["kind"]).missing()
+            why = f"solver {extra['kind']} {missing}" if missing else ""
+        except PluginError as error:
+            why = str(error)
+        if why:
+            left_out.append(f"{why}; it is left out of group {group.group}")
+        else:
+            found[f"include[{i}]"] = extra
+    if not found and not problems:
         problems = [("group", f"no installed solver is in {group.group!r}")]
     if problems:
         raise OptionError("Group", problems)
-    return names, left_out
+    return found, left_out

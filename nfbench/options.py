@@ -100,19 +100,32 @@ def _undeclared(cls: type) -> list[str]:
     return [name for name, hint in inspect.get_annotations(cls).items() if "ClassVar" not in str(hint)]
 
 
-def canonical(value: Any) -> Any:
-    """Plain data (dicts, lists, text, numbers) that says everything an option or Options object holds."""
+def canonical(value: Any, *, defaults: bool = True) -> Any:
+    """Plain data (dicts, lists, text, numbers) that says everything an option or Options object holds.
+
+    defaults: with the options that have their default value, at every depth; without them, data stay what they are
+    when a class gains an option.
+    """
+    plain = functools.partial(canonical, defaults=defaults)
     if isinstance(value, Named):
-        return {"kind": value.kind, **canonical(value.made)}
+        return {"kind": value.kind, **plain(value.made)}
     if isinstance(value, Options):
-        table = {f.name: canonical(getattr(value, f.name)) for f in dataclasses.fields(value) if f.init}
+        shown = [f for f in dataclasses.fields(value) if f.init and (defaults or not _at_default(value, f))]
+        table = {f.name: plain(getattr(value, f.name)) for f in shown}
         kind = getattr(type(value), "kind", None)
         return {"kind": kind, **table} if isinstance(kind, str) else table
     if isinstance(value, Mapping):
-        return {str(key): canonical(item) for key, item in value.items()}
+        return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [canonical(item) for item in value]
+        return [plain(item) for item in value]
     return value
+
+
+def _at_default(made: Options, field: dataclasses.Field[Any]) -> bool:
+    default = field.default if field.default_factory is dataclasses.MISSING else field.default_factory()
+    if default is dataclasses.MISSING:
+        return False
+    return bool(canonical(getattr(made, field.name)) == canonical(_checked(type(made), field.name, default)[0]))
 
 
 def suggest(name: str, known: Iterable[str]) -> str:

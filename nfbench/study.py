@@ -16,20 +16,22 @@ __all__ = ["Choice", "Method", "Point", "RunSpec", "Study"]
 class Choice:
     """One scenario, formulation or solver with its options, as plain data.
 
-    label: its name in tables. options: canonical, defaults included. version: of the plugin that provides it.
+    label: its name in tables. options: canonical, defaults included; chosen: those that differ from their default.
+    version: of the plugin that provides it.
     broken: why it cannot be made (a plugin file that fails to import); its runs fail with this message.
     """
 
     kind: str
     label: str
     options: dict[str, Any]
+    chosen: dict[str, Any]
     version: str
     broken: str | None = None
 
     @property
     def identity(self) -> dict[str, Any]:
-        """What it is, whatever it is called."""
-        return {"kind": self.kind, **self.options}
+        """What it is, whatever it is called; the same when its plugin gains an option."""
+        return {"kind": self.kind, **self.chosen}
 
 
 @dataclass(frozen=True)
@@ -56,8 +58,8 @@ class Method:
 class RunSpec:
     """One run as text and numbers: hashable, storable, and the same on every machine.
 
-    run_id identifies what is computed: the canonical options of scenario, formulation, solver and budget, study
-    seed, repetition and plugin versions; not labels, timeouts, worker counts or paths.
+    run_id identifies what is computed: the options of scenario, formulation and solver that differ from their
+    defaults, budget, study seed, repetition and plugin versions; not labels, timeouts, worker counts or paths.
     instance_seed: the same for every method at a scenario point and repetition, so that comparisons are paired.
     """
 

@@ -80,6 +80,17 @@ def test_what_is_excluded_is_left_out(manifest):
     assert {*both} - {*fewer} == {"scipy-shgo", "nlopt-ags"}
 
 
+def test_what_is_included_joins_the_group_where_it_is_installed(manifest, plugin):
+    entry = 'group = "deterministic"\n'
+    entry += 'include = [{ kind = "de", population = 7 }, { kind = "rare" }, { kind = "rare" }, { kind = "nlopt-ags" }]'
+    study = load_study(manifest(grouped(entry), plugins=[plugin]))
+    alone = load_study(manifest(grouped('group = "deterministic"'), plugins=[plugin]))
+    added = [method.solver for method in study.methods[len(alone.methods) :]]
+    assert [(solver.kind, solver.options["population"]) for solver in added] == [("de", 7)]  # nlopt-ags is in already
+    (warning,) = study.warnings
+    assert warning.startswith("solver rare needs no_such_library") and "left out of group deterministic" in warning
+
+
 def test_a_group_in_a_method_makes_one_method_for_each(manifest):
     text = '[[method]]\nformulation = "once"\nsolver = { group = "gradient" }\nbudget = { evaluations = 9 }\n'
     assert kinds(manifest(text)) == kinds(manifest(grouped('group = "gradient"')))
@@ -111,6 +122,14 @@ def test_the_runs_of_a_group_are_those_of_its_solvers_named_one_by_one(manifest)
         (
             'group = "global"\nexclude = ["scipy-sgho"]',
             "solver[0].exclude[0]: unknown solver 'scipy-sgho'; did you mean \"scipy-shgo\"?",
+        ),
+        (
+            'group = "global"\ninclude = [{ kind = "d" }]',
+            "solver[0].include[0].kind: unknown solver 'd'; did you mean \"de\"?",
+        ),
+        (
+            'group = "global"\ninclude = [{ kind = "de", populaton = 3 }]',
+            'solver[0].include[0].populaton: unknown option; did you mean "population"?',
         ),
         ('group = "global"\nexlude = []', 'solver[0].exlude: unknown option; did you mean "exclude"?'),
         ('group = "global"\nkind = "de"', "solver[0]: expected a kind or a group, got both: 'de' and 'global'"),

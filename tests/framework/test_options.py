@@ -1,5 +1,6 @@
 """Options are checked when made, and every error names the option, what was expected and what came."""
 
+import functools
 from dataclasses import dataclass, field
 from typing import Annotated, ClassVar, Literal
 
@@ -49,6 +50,14 @@ def test_canonical_data_holds_every_default_and_makes_the_same_again():
     assert plain["array"] == {"kind": "ring", "radius": 1.0, "tilt": [0.0, 0.0]}
     assert build(Sample, plain) == made
     assert canonical(build(Sample, {"snr": 20})) == canonical(Sample())
+
+
+def test_without_defaults_canonical_data_is_what_was_chosen():
+    plain = functools.partial(canonical, defaults=False)
+    assert plain(build(Sample, {"snr": 20, "array": {"kind": "line", "elements": 8}})) == {}
+    assert plain(Sample(size=51, start=1.0)) == {"size": 51, "start": 1.0}
+    assert plain(Sample(array=Line(9))) == {"array": {"kind": "line", "elements": 9}}
+    assert plain(Sample(array=Ring(1.0))) == {"array": {"kind": "ring", "radius": 1.0}}  # no default: always told
 
 
 @pytest.mark.parametrize(

@@ -47,7 +47,34 @@ def test_an_identity_is_stable_across_versions_of_the_code(manifest):
     assert (spec.run_id, spec.instance_seed, spec.solver_seed) == PINNED
 
 
-PINNED = ("c37d7b527a9a8e44a923", 8048162559168601447, 7373534242580518641)
+PINNED = ("66f014b937cf8ff0b10a", 6866092018086572425, 7474588578027608012)
+
+
+def test_an_option_that_a_plugin_gains_changes_no_run(manifest, tmp_path):
+    plugin = tmp_path / "mine.py"
+    before, after = {}, {}
+    for found, more in ((before, ""), (after, "    patience: int = 3\n")):
+        plugin.write_text(GAINING.replace("    # more\n", more))
+        study = load_study(manifest(BASIC.replace('"sampler"', '"mine"\nbatch = 3'), plugins=[plugin]))
+        found.update({spec.repetition: (spec.instance_seed, spec.solver_seed) for spec in study.specs()})
+        assert ("patience" in study.methods[0].solver.options) == bool(more)
+    assert before == after and len(before) == len({*before.values()}) == 3
+
+
+GAINING = """
+from dataclasses import dataclass
+from nfbench import Solver, SolverInfo
+
+@dataclass(frozen=True)
+class Mine(Solver):
+    \"\"\"Does nothing.\"\"\"
+    batch: int = 8
+    # more
+    info = SolverInfo()
+
+    def minimize(self, problem, rng):
+        problem(problem.lower)
+"""
 
 
 def test_instances_are_shared_by_methods_and_solver_seeds_are_not(manifest):
