@@ -54,7 +54,7 @@ def members(registry: Registry, table: dict[str, Any]) -> tuple[dict[str, dict[s
     """
     group = build(Group, table)
     known = registry.names("solver")
-    named = [(f"exclude[{i}]", name) for i, name in enumerate(group.exclude)]
+    named: list[tuple[str, Any]] = [(f"exclude[{i}]", name) for i, name in enumerate(group.exclude)]
     named += [(f"include[{i}].kind", extra.get("kind")) for i, extra in enumerate(group.include)]
     problems = [
         (path, f"unknown solver {name!r}{suggest(str(name), known)}") for path, name in named if name not in known
