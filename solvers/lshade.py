@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, ClassVar
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 
@@ -38,6 +38,8 @@ class LSHADE(Solver):
     archive_rate: r_arc, the archive's size over the population's.
     p: the share of the population that counts as best; at least two individuals do.
     memory: H, the means remembered.
+    terminal: what becomes of a mean of CR that is the terminal value ⊥, CR = 0: "kept" for ever, as the paper says, or
+        "overwritten" in its turn, as the authors' program in C++ does.
     evaluations: MAX_NFE, those over which the population shrinks to 4, where it stays; None: the budget's. Where the
         budget has no limit in evaluations either, the problem is declined.
     """
@@ -46,6 +48,7 @@ class LSHADE(Solver):
     archive_rate: Annotated[float, Ge(0.0), Tune(0.0, 4.0)] = 2.6
     p: Annotated[float, Gt(0.0), Le(1.0), Tune(0.02, 0.5, log=True)] = 0.11
     memory: Annotated[int, Ge(1), Tune(2, 50, log=True)] = 6
+    terminal: Literal["kept", "overwritten"] = "kept"
     evaluations: Annotated[int, Ge(1)] | None = None
 
     info: ClassVar[SolverInfo] = SolverInfo(
@@ -75,7 +78,8 @@ class LSHADE(Solver):
             A.add(x[won], rng)
             if won.any():
                 w = shares(f[won] - fu[won])
-                terminal = np.isnan(M.CR[M.k]) or CR[won].max() == 0.0  # once ⊥, for ever ⊥
+                locked = self.terminal == "kept" and np.isnan(M.CR[M.k])
+                terminal = locked or CR[won].max() == 0.0
                 M.overwrite(F=lehmer(F[won], w), CR=np.nan if terminal else lehmer(CR[won], w))
             as_good = fu <= f
             x[as_good], f[as_good] = u[as_good], fu[as_good]

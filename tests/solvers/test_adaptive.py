@@ -66,7 +66,7 @@ def half_up(value):
 
 def plain(kind, f, lower, upper, N, max_nfe, rng):
     """All four, told apart where their papers differ; returns every point evaluated."""
-    n = len(lower)
+    n, locks, kind = len(lower), "overwritten" not in kind, kind.partition(",")[0]
     unit = rng.random((N, n))
     x = [[lower[j] + unit[i, j] * (upper[j] - lower[j]) for j in range(n)] for i in range(N)]
     values, seen, archive = [f(xi) for xi in x], [list(xi) for xi in x], []
@@ -114,7 +114,7 @@ def plain(kind, f, lower, upper, N, max_nfe, rng):
             elif kind == "shade":
                 M_CR[k], M_F[k] = mean, mean_F
             else:
-                if M_CR[k] is BOTTOM or max(CR[i] for i in won) == 0:
+                if (M_CR[k] is BOTTOM and locks) or max(CR[i] for i in won) == 0:
                     M_CR[k] = BOTTOM
                 else:
                     M_CR[k] = squares / mean if kind == "l-shade" else (squares / mean + M_CR[k]) / 2
@@ -144,7 +144,14 @@ def rugged(X):
     return (X**2).sum(axis=1) + np.cos(7 * X[:, 0]) * X[:, -1]
 
 
-CASES = {"jade": (JADE(), 30), "shade": (SHADE(), 100), "l-shade": (LSHADE(), 54), "jso": (JSO(), 48)}
+CASES = {
+    "jade": (JADE(), 30, 5, 2900),
+    "shade": (SHADE(), 100, 5, 2900),
+    "l-shade": (LSHADE(), 54, 5, 2900),
+    "l-shade, with ⊥ kept": (LSHADE(population=8), 8, 6, 1100),
+    "l-shade, with ⊥ overwritten": (LSHADE(population=8, terminal="overwritten"), 8, 6, 1100),
+    "jso": (JSO(), 48, 5, 2900),
+}
 
 
 @pytest.mark.parametrize("kind", CASES)
@@ -152,15 +159,26 @@ def test_evaluates_the_same_points_as_a_plain_loop(kind):
     """3,000 evaluations: the archive overflows, the population shrinks to four, and jSO passes all its phases."""
     lower, upper = np.array([-2.0, -1.0, 0.1]), np.array([1.0, 0.5, 3.3])
     problem = Formula(rugged, lower, upper)
-    solver, N = CASES[kind]
+    solver, N, seed, alike = CASES[kind]
     budget = 3000
-    minimize(problem, solver, budget, 5)
-    seen = plain(kind, lambda x: float(rugged(np.array([x]))[0]), lower, upper, N, budget, np.random.default_rng(5))[
-        :budget
-    ]
+    minimize(problem, solver, budget, seed)
+    rng = np.random.default_rng(seed)
+    seen = plain(kind, lambda x: float(rugged(np.array([x]))[0]), lower, upper, N, budget, rng)[:budget]
     assert len(problem.points) == budget
     # sums in another order differ in the last digit, which decides between values that have become equal
-    assert_allclose(problem.points[:2900], seen[:2900], rtol=0, atol=1e-9)
+    assert_allclose(problem.points[:alike], seen[:alike], rtol=0, atol=1e-9)
+
+
+def test_both_rules_for_the_terminal_value_are_met_here():
+    """Else the loop above would not tell them apart."""
+    lower, upper = np.array([-2.0, -1.0, 0.1]), np.array([1.0, 0.5, 3.3])
+    seen = []
+    for rule in ("kept", "overwritten"):
+        problem = Formula(rugged, lower, upper)
+        solver, _, seed, alike = CASES[f"l-shade, with ⊥ {rule}"]
+        minimize(problem, solver, 3000, seed)
+        seen.append(problem.points)
+    assert 100 < (seen[0] != seen[1]).any(axis=1).argmax() < alike - 500
 
 
 def test_the_terminal_value_makes_cr_zero():
