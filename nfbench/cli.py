@@ -390,9 +390,12 @@ def _check(kind: str, name: str, plugin: list[Path] | None, given: list[str] | N
     passed = True
     for job in wanted:
         typer.echo(job.name)
+        first: dict[str, str] = {}  # where a message was told
         for result in watched_checks(job, timeout):
             passed &= result.passed
-            told = f"{': ' if result.message else ''}{result.message}"
+            where = first.setdefault(result.message, result.name)
+            told = result.message if where == result.name or result.passed else f"the same as in {where}"
+            told = f"{': ' if told else ''}{told}"
             typer.echo(f"  {'ok  ' if result.passed else 'FAIL'} {result.name}{told}")
     raise typer.Exit(OK if passed else NOT_ALL_OK)
 

@@ -81,16 +81,28 @@ def build(cls: type[T], options: Mapping[str, Any]) -> T:
     if forgotten := _undeclared(cls):
         text = f"is no option yet: put @dataclass(frozen=True) above class {cls.__name__}"
         raise OptionError(cls.__name__, [(name, text) for name in forgotten])
-    problems = [(name, f"unknown option{suggest(name, fields)}") for name in options if name not in fields]
+    problems = [(name, _unknown(cls, name, fields)) for name in options if name not in fields]
     for name, field in fields.items():
         if field.default is field.default_factory is dataclasses.MISSING and name not in options:
-            problems.append((name, "is required"))
+            problems.append((name, _required(cls, name)))
     known = {name: value for name, value in options.items() if name in fields}
     if problems:  # still check the values of what is known, so that one pass shows every error
         for name, value in known.items():
             problems += _checked(cls, name, value)[1]
         raise OptionError(cls.__name__, problems)
     return cls(**known)
+
+
+def _required(cls: type[Options], name: str) -> str:
+    """That it is, and what is expected of it."""
+    told = [text for _, text in _checked(cls, name, None)[1] if text.startswith("expected ")]
+    return f"is required: {told[0].rpartition(', got ')[0]}" if told else "is required"
+
+
+def _unknown(cls: type[Options], name: str, fields: Iterable[str]) -> str:
+    if isinstance(getattr(cls, name, None), bool | int | float | str | tuple):
+        return f"is no option yet: give {name} in class {cls.__name__} a type, as in `{name}: float = 0.5`"
+    return f"unknown option{suggest(name, fields)}"
 
 
 def _undeclared(cls: type) -> list[str]:

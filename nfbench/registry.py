@@ -9,12 +9,14 @@ import hashlib
 import importlib.util
 import inspect
 import re
+import signal
 import sys
-from collections.abc import Iterable, Mapping
+import threading
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, is_dataclass
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
-from types import ModuleType
+from types import FrameType, ModuleType
 from typing import Any, cast
 
 from .errors import MissingExtra, OptionError, PluginError
@@ -28,6 +30,7 @@ __all__ = ["CONTRACTS", "Plugin", "Registry"]
 
 _present: contextvars.ContextVar[Registry | None] = contextvars.ContextVar("present", default=None)
 
+IMPORT_S = 120.0  # for a plugin file to be imported
 CONTRACTS: dict[str, type[Options]] = {"solver": Solver, "formulation": Formulation, "scenario": Scenario}
 
 
@@ -100,7 +103,10 @@ class Registry:
         try:
             return self._plugins[kind, name]
         except KeyError:
-            raise PluginError(f"unknown {kind} {name!r}{suggest(name, self.names(kind))}") from None
+            hint = suggest(name, self.names(kind))
+            if "did you mean" not in hint:
+                hint += "; your own is found by --plugin FILE, or in a manifest by plugins = [FILE]"
+            raise PluginError(f"unknown {kind} {name!r}{hint}") from None
 
     def make(self, kind: str, name: str, options: Mapping[str, Any]) -> Options:
         """Construct a plugin from its options. Raises PluginError, or MissingExtra, or OptionError."""
@@ -134,9 +140,14 @@ class Registry:
             raise PluginError(f"plugin file {file}: {error.strerror or error}") from error
         version = hashlib.sha256(source).hexdigest()[:16]
         try:
-            module = _import_file(file, version)
+            with _deadline(IMPORT_S):
+                module = _import_file(file, version)
+        except _TooLate:
+            self.broken[file] = f"was not imported within {IMPORT_S:g} s; leave work to minimize, draw and solve"
+            return
         except (Exception, SystemExit) as error:
-            self.broken[file] = explain(error)
+            hint = "; put @dataclass(frozen=True) above its classes" if "non-frozen dataclass" in str(error) else ""
+            self.broken[file] = f"{explain(error)}{hint}"
             return
         found = [cls for cls in vars(module).values() if _is_plugin(cls, module)]
         if not found:
@@ -145,6 +156,29 @@ class Registry:
             kind = next(kind for kind, contract in CONTRACTS.items() if issubclass(cls, contract))
             name = vars(cls).get("name") or _kebab(cls.__name__)
             self._add(Plugin(kind, name, file.name, version, cls))
+
+
+class _TooLate(BaseException):
+    """An import takes too long; no Exception, which the imported file could swallow."""
+
+
+@contextlib.contextmanager
+def _deadline(seconds: float) -> Iterator[None]:
+    """Raises _TooLate in Python code that takes longer. Only a program's main thread can: elsewhere it may."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def late(number: int, frame: FrameType | None) -> None:
+        raise _TooLate
+
+    before = signal.signal(signal.SIGALRM, late)
+    signal.setitimer(signal.ITIMER_REAL, seconds)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, before)
 
 
 def _extra(cls: type[Options], made: Options | None) -> Extra | None:
