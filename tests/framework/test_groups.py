@@ -143,7 +143,7 @@ def test_a_wrong_group_is_told(manifest, entry, expected):
 def test_a_solver_of_a_group_that_has_no_defaults_is_told(manifest, plugin):
     plugin.write_text(PLUGIN.replace("step: float = 1.0", "step: float"))
     (problem, *_) = problems(manifest(grouped('group = "gradient"'), plugins=[plugin]))
-    assert problem == "solver[0].group: slope.step: is required"
+    assert problem == "solver[0].group: slope.step: is required: expected number"
 
 
 def test_every_group_parts_the_solvers():

@@ -125,8 +125,8 @@ WRONG = {
         """,
         [
             'sed: unknown option; did you mean "seed"?',
-            "name: is required",
-            "seed: is required",
+            "name: is required: expected string",
+            "seed: is required: expected integer",
             "repetitions: expected greater than or equal to 1, got 0",
             "scenario.noise: expected less than or equal to 1, got 2.0",
             "sweep.dimension[1]: expected integer, got 'x'",

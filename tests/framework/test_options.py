@@ -32,6 +32,7 @@ class Sample(Options):
     array: Annotated[Line | Ring, OneOf(Line, Ring)] = field(default_factory=Line)
     start: float | None = None
     stop: float | None = None
+    depth = 3
 
     def validate(self):
         if self.start is not None and self.stop is not None and self.start >= self.stop:
@@ -64,6 +65,7 @@ def test_without_defaults_canonical_data_is_what_was_chosen():
     ("options", "expected"),
     [
         ({"sise": 5}, [("sise", 'unknown option; did you mean "size"?')]),
+        ({"depth": 5}, [("depth", "is no option yet: give depth in class Sample a type, as in `depth: float = 0.5`")]),
         ({"size": 3}, [("size", "expected greater than or equal to 4, got 3")]),
         ({"size": 5.0}, [("size", "expected integer, got 5.0")]),
         ({"size": True}, [("size", "expected integer, got True")]),
@@ -73,7 +75,7 @@ def test_without_defaults_canonical_data_is_what_was_chosen():
         ({"snr": "x"}, [("snr", "expected number or list, got 'x'")]),
         ({"array": {"kind": "lin"}}, [("array.kind", "unknown kind 'lin'; did you mean \"line\"?")]),
         ({"array": {}}, [("array.kind", "is required; known: line, ring")]),
-        ({"array": {"kind": "ring"}}, [("array.radius", "is required")]),
+        ({"array": {"kind": "ring"}}, [("array.radius", "is required: expected number")]),
         ({"array": {"kind": "line", "elemnts": 3}}, [("array.elemnts", 'unknown option; did you mean "elements"?')]),
         ({"array": 7}, [("array", "expected a table with a kind (line, ring), got 7")]),
         ({"start": 2.0, "stop": 1.0}, [("", "start: expected less than stop = 1.0, got 2.0")]),

@@ -1,5 +1,7 @@
 """Plugins are found by entry point and by file; what fails to import is named and left out."""
 
+import signal
+import time
 from importlib.metadata import EntryPoint
 
 import pytest
@@ -51,6 +53,7 @@ def test_the_version_of_a_file_is_its_content(tmp_path):
         ("def broken(:", "SyntaxError"),
         ("import no_such_module", "ModuleNotFoundError: No module named 'no_such_module'"),
         ("raise SystemExit(1)", "SystemExit"),
+        (SOLVER.replace("(frozen=True)", "").format(name="Mine"), "put @dataclass(frozen=True) above its classes"),
         ("x = 1", "defines no class derived from nfbench.Solver, Formulation or Scenario"),
     ],
 )
@@ -60,6 +63,16 @@ def test_a_file_that_fails_is_kept_with_its_error_and_the_rest_goes_on(tmp_path,
     registry = Registry([bad, toy_plugin])
     assert error in registry.broken[bad]
     assert "sampler" in registry.names("solver")
+
+
+def test_a_file_whose_import_does_not_end_is_given_up(tmp_path, monkeypatch):
+    (tmp_path / "waits.py").write_text("import time\nwhile True:\n    try: time.sleep(9)\n    except Exception: pass\n")
+    monkeypatch.setattr(registry_module, "IMPORT_S", 0.3)
+    began, before = time.monotonic(), signal.getsignal(signal.SIGALRM)
+    registry = Registry([tmp_path / "waits.py"])
+    (why,) = registry.broken.values()
+    assert why.startswith("was not imported within 0.3 s") and time.monotonic() - began < 5
+    assert signal.getsignal(signal.SIGALRM) is before and signal.getitimer(signal.ITIMER_REAL) == (0.0, 0.0)
 
 
 def test_two_plugins_of_one_name_are_an_error(tmp_path):
@@ -77,6 +90,8 @@ def test_a_missing_file_and_an_unknown_name_are_named(tmp_path):
         Registry([tmp_path / "no.py"])
     with pytest.raises(PluginError, match="unknown formulation 'nemmo'; did you mean \"nemo\""):
         Registry().find("formulation", "nemmo")
+    with pytest.raises(PluginError, match=r"unknown solver 'mine'; known: .*; your own is found by --plugin FILE"):
+        Registry().find("solver", "mine")
 
 
 def test_an_entry_point_that_fails_is_named_when_asked_for(monkeypatch):
