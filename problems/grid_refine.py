@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Complex, Float
 from numpy import ndarray
 
-from nfbench import Formulation, Ge, Gt, Incompatible, Instance, Le, Minimize
+from nfbench import Formulation, Ge, Gt, Instance, Le, Minimize
 
 from . import kernels
 from .enumeration import Criterion, Sources, how_many
@@ -51,11 +51,9 @@ class GridRefine(Formulation):
 
     def solve(self, instance: NearFieldInstance, minimize: Minimize) -> Float[ndarray, "k d"]:
         """The sources (K, d) [rad, m]. Raises Incompatible with fewer snapshots than sources."""
-        K, T = how_many(instance, self.sources, self.criterion), instance.Y.shape[1]
+        K = how_many(instance, self.sources, self.criterion)
         if K == 0:
             return np.empty((0, instance.manifold.dimension))
-        if K > T:
-            raise Incompatible(f"snapshots: expected at least {K} for the signal subspace of {K} sources, got {T}")
         manifold = instance.manifold.under(self.wavefront)
         U_s = signal_subspace(instance.Y, K)
         esf = ESF(U_s, manifold, instance.lower, instance.upper)

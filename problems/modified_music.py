@@ -53,14 +53,13 @@ class ModifiedMusic(Formulation):
         Raises Incompatible in 3D; for all but a centred ULA along y of spacing below λ/(4·sinφ_max); for 2K elements
         or fewer; and with fewer snapshots than sources.
         """
-        K, (M, T) = how_many(instance, self.sources, self.criterion), instance.Y.shape
+        K, M = how_many(instance, self.sources, self.criterion), len(instance.Y)
         spacing = _spacing(instance)
         if K == 0:
             return np.empty((0, 2))
         if M <= 2 * K:
             raise Incompatible(f"array: expected more than {2 * K} elements for {K} sources, got {M}")
-        if K > T:
-            raise Incompatible(f"snapshots: expected at least {K} for the signal subspace of {K} sources, got {T}")
+        U_s = signal_subspace(instance.Y, K)
         azimuths, ranges = self.grid.axes(instance.lower, instance.upper)
 
         U_z = _angle_subspace(instance.Y, K)
@@ -72,7 +71,7 @@ class ModifiedMusic(Formulation):
             angles = RLS(U_z, far, instance.lower, instance.upper)  # lowest where 1/(L − ‖U_zᴴb‖²) is highest
             estimate = np.array([refine(angles, theta, far) for theta in estimate])
 
-        U_s, manifold = signal_subspace(instance.Y, K), instance.manifold.under(self.wavefront)
+        manifold = instance.manifold.under(self.wavefront)
         for theta in estimate:
             line = np.stack([np.full_like(ranges, theta[0]), ranges], axis=1)
             spectrum = RLS(U_s, manifold, line[0], line[-1])

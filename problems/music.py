@@ -85,11 +85,9 @@ class Music(Formulation):
 
         Raises Incompatible with fewer snapshots than sources, or for a grid in elevation in the plane.
         """
-        K, T = how_many(instance, self.sources, self.criterion), instance.Y.shape[1]
+        K = how_many(instance, self.sources, self.criterion)
         if K == 0:
             return np.empty((0, instance.manifold.dimension))
-        if K > T:
-            raise Incompatible(f"snapshots: expected at least {K} for the signal subspace of {K} sources, got {T}")
         axes = self.grid.axes(instance.lower, instance.upper)
         manifold = instance.manifold.under(self.wavefront)
         U_s = signal_subspace(instance.Y, K)

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from nfbench import Formulation, Incompatible, Instance, Minimize
+from nfbench import Formulation, Instance, Minimize
 
 from .enumeration import Criterion, Sources, how_many
 from .esf import ESF
@@ -40,11 +40,9 @@ class Neef(Formulation):
 
     def solve(self, instance: NearFieldInstance, minimize: Minimize) -> Float[ndarray, "k d"]:
         """The sources (K, d) [rad, m]. Raises Incompatible with fewer snapshots than sources."""
-        K, T = how_many(instance, self.sources, self.criterion), instance.Y.shape[1]
+        K = how_many(instance, self.sources, self.criterion)
         if K == 0:
             return np.empty((0, instance.manifold.dimension))
-        if K > T:
-            raise Incompatible(f"snapshots: expected at least {K} for the signal subspace of {K} sources, got {T}")
         U_s = signal_subspace(instance.Y, K)
         manifold = instance.manifold.under(self.wavefront)
         problem = ESF(U_s, manifold, instance.lower, instance.upper)

@@ -6,6 +6,8 @@ import numpy as np
 from jaxtyping import Complex
 from numpy import ndarray
 
+from nfbench import Incompatible
+
 __all__ = ["compress", "signal_subspace"]
 
 
@@ -19,10 +21,14 @@ def signal_subspace(Y: Complex[ndarray, "m t"], sources: int) -> Complex[ndarray
     """The eigenvectors U_s of R̂ = Y·Yᴴ/T to its K greatest eigenvalues, as columns, greatest first.
 
     Computed as left singular vectors of Y, which do not square its condition. The phase of each is fixed: its entry
-    of greatest modulus is real and positive. Raises ValueError where Y, (M, T), has fewer than K singular values.
+    of greatest modulus is real and positive. Raises Incompatible with fewer snapshots T than sources K, ValueError
+    with fewer antennas M.
     """
-    if not 1 <= sources <= min(Y.shape):
-        raise ValueError(f"sources: expected 1 to min(M, T) = {min(Y.shape)}, got {sources}")
+    if sources > Y.shape[1]:
+        text = f"snapshots: expected at least {sources} for the signal subspace of {sources} sources, got {Y.shape[1]}"
+        raise Incompatible(text)
+    if not 1 <= sources <= len(Y):
+        raise ValueError(f"sources: expected 1 to M = {len(Y)}, got {sources}")
     U = np.linalg.svd(compress(Y), full_matrices=False)[0][:, :sources]
     pivots = U[np.argmax(np.abs(U), axis=0), np.arange(sources)]
     U_s: ndarray = U * (pivots.conj() / np.abs(pivots))

@@ -7,6 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
+from nfbench import Incompatible
 from nfbench.problems.arrays import ULA, UPA
 from nfbench.problems.channels import complex_normal
 from nfbench.problems.esf import ESF
@@ -192,10 +193,13 @@ def test_signal_subspace_has_a_phase_of_its_own():
     assert (largest.real > 0).all()
 
 
-@pytest.mark.parametrize("sources", [0, 6])
-def test_a_subspace_beyond_the_data_is_refused(sources):
-    with pytest.raises(ValueError, match=r"sources: expected 1 to min\(M, T\) = 5, got"):
-        signal_subspace(complex_normal(np.random.default_rng(0), (24, 5)), sources)
+def test_a_subspace_beyond_the_data_is_refused():
+    Y = complex_normal(np.random.default_rng(0), (5, 7))
+    for sources in (0, 6):
+        with pytest.raises(ValueError, match=f"sources: expected 1 to M = 5, got {sources}"):
+            signal_subspace(Y, sources)
+    with pytest.raises(Incompatible, match=r"snapshots: expected at least 6 for the signal subspace of 6 .*, got 5"):
+        signal_subspace(Y.T, 6)
 
 
 def test_arguments_that_do_not_fit_are_refused():
