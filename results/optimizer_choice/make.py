@@ -45,16 +45,13 @@ def parts() -> list[Part]:
     """What the study compares, from its manifest."""
     methods = nfbench.load_study(STUDY).methods
     found = []
-    for kind, budget, least in (
-        ("neef", 60000, 60000),
-        ("neef", 12000, 3000),
-        ("nemo", 15000, 15000),
-        ("nemo", 3000, 1),
-    ):
+    for kind, budget in (("neef", 60000), ("neef", 12000), ("nemo", 15000), ("nemo", 3000)):
         names = tuple(
             method.label
             for method in methods
-            if method.formulation.kind == kind and method.budget and least <= method.budget["evaluations"] <= budget
+            if method.formulation.kind == kind
+            and method.budget
+            and budget / 4 <= method.budget["evaluations"] <= budget
         )
         base = PAPER[kind].format(budget if kind == "neef" else "" if budget == 15000 else f" @{budget}")
         found.append(Part(kind, budget, names, base))
