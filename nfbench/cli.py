@@ -221,9 +221,10 @@ def tune(
     out: Annotated[Path | None, typer.Option(help="Default: results/<study>-tune-<solver>.")] = None,
     jobs: Annotated[int | None, typer.Option(min=0, help="Worker processes (default: one a core; 0: none).")] = None,
     plugin: Plugins = None,
+    fresh: Annotated[bool, typer.Option("--fresh", help="Move an old folder aside and start anew.")] = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Only the result, no trials.")] = False,
 ) -> None:
-    """Tune a solver's options on training scenes of a study, and compare with the default on held-out ones."""
+    """Tune a solver's options on training scenes of a study, or go on with it, and compare on held-out ones."""
     from .manifest import load_study
     from .report import TuningView
     from .tuning import Plan
@@ -235,10 +236,12 @@ def tune(
     given = dict(_option(text) for text in option or ())
     plan = Plan(solver, given, formulation, budget, trials, training, held_out, seed)
     folder = out or Path("results") / f"{loaded.name}-tune-{solver}"
-    view = TuningView(_console(), quiet)
+    console = _console()
+    view = TuningView(console, quiet)
     try:
-        found = tune_solver(loaded, plan, folder, os.cpu_count() or 1 if jobs is None else jobs, view.trial)
-    except KeyboardInterrupt:  # before the first trial
+        found = tune_solver(loaded, plan, folder, os.cpu_count() or 1 if jobs is None else jobs, view.trial, fresh)
+    except KeyboardInterrupt:  # before any new trial
+        console.print("Interrupted with nothing new; the same command goes on from here.")
         raise typer.Exit(INTERRUPTED) from None
     view.result(found, folder)
     raise typer.Exit(INTERRUPTED if found.interrupted else OK)

@@ -149,8 +149,9 @@ class TuningView:
             self.console.print(_table("held out", found.held_out, found.error, found.study.outlier_m, self.console))
         self.console.print(found.verdict, markup=False)
         if found.interrupted:
-            self.console.print(f"Interrupted after {len(found.trials)} of {plan.trials + 1} trials.")
-        self.console.print(f"\nWritten to {folder}/: tuned.toml, trials.csv", soft_wrap=True)
+            done = f"{len(found.trials)} of {plan.trials + 1} trials"
+            self.console.print(f"Interrupted after {done}; the same command goes on from here.")
+        self.console.print(f"\nWritten to {folder}/: tuned.toml, trials.csv, tuning.json", soft_wrap=True)
 
 
 def _frame(frame: pd.DataFrame) -> Table:

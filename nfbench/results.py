@@ -16,8 +16,9 @@ import pandas as pd
 
 from .engine import Batches, run_specs
 from .environment import describe_environment
-from .errors import NfbenchError, StoreError
+from .errors import NfbenchError
 from .execute import RunRecord
+from .folders import prepare, write_whole
 from .interrupts import Interrupts
 from .log import logging_to
 from .registry import Registry
@@ -107,8 +108,8 @@ class Results:
     def write_tables(self) -> None:
         """Write ``runs.csv`` and ``summary.csv``; each replaces the old one only when it is whole."""
         runs = self.runs
-        _write(self.folder / "runs.csv", lambda path: runs.to_csv(path, index=False))
-        _write(self.folder / "summary.csv", lambda path: self._summary(runs).to_csv(path, index=False))
+        write_whole(self.folder / "runs.csv", lambda path: runs.to_csv(path, index=False))
+        write_whole(self.folder / "summary.csv", lambda path: self._summary(runs).to_csv(path, index=False))
 
     def _summary(
         self, runs: pd.DataFrame, by: Sequence[str] | None = None, outlier_m: float | None = None
@@ -143,13 +144,13 @@ def run(
         raise NfbenchError('a script that calls nfbench.run must do so below `if __name__ == "__main__":`')
     folder = Path("results") / study.name if out is None else Path(out)
     jobs = os.cpu_count() or 1 if jobs is None else jobs
-    _prepare(folder, fresh)
+    prepare(folder, fresh)
     results = Results(folder)
     told = listener.stopping if listener else lambda: None
     with Store(folder, write=True) as store, logging_to(folder / "study.log") as log, Interrupts(told) as stop:
         is_new = store.begin(study, shard)
         store.forget(retry)
-        _write(folder / "manifest.toml", lambda path: path.write_text(study.manifest, encoding="utf-8"))
+        write_whole(folder / "manifest.toml", lambda path: path.write_text(study.manifest, encoding="utf-8"))
         if kind := network_file_system(folder):
             log.warning("%s is on a network file system (%s): writing without WAL, which is slower", folder, kind)
         todo = store.open_ordinals()
@@ -213,25 +214,4 @@ def _write_environment(folder: Path, environment: dict[str, Any], jobs: int | st
         earlier = [*before.pop("earlier", []), before]
     times = {"started": started.isoformat(), "ended": datetime.now(UTC).isoformat()}
     text = json.dumps({**environment, "jobs": jobs, **times, "earlier": earlier}, indent=2) + "\n"
-    _write(path, lambda draft: draft.write_text(text, encoding="utf-8"))
-
-
-def _prepare(folder: Path, fresh: bool) -> None:
-    try:
-        if fresh and folder.exists():
-            folder.rename(folder.with_name(f"{folder.name}.{datetime.now():%Y%m%d-%H%M%S}"))
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise StoreError(f"{folder}: {error.strerror or error}") from error
-
-
-def _write(path: Path, write: Callable[[Path], object]) -> None:
-    """Write a file whole or not at all. Raises StoreError, and the old file stays, where that fails."""
-    draft = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        write(draft)
-        draft.replace(path)
-    except OSError as error:
-        with contextlib.suppress(OSError):
-            draft.unlink()
-        raise StoreError(f"{path}: {error.strerror or error}; finished rows are kept in runs.sqlite") from error
+    write_whole(path, lambda draft: draft.write_text(text, encoding="utf-8"))

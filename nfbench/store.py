@@ -14,10 +14,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
-from filelock import FileLock, Timeout
+from filelock import FileLock
 
 from .errors import StoreError
 from .execute import RunRecord
+from .folders import locked
 from .study import RunSpec, Study
 from .trace import Trace
 
@@ -55,7 +56,7 @@ class Store:
 
     def __init__(self, folder: Path, *, write: bool = False) -> None:
         self.folder, self.path = folder, folder / FILE
-        self._lock = FileLock(folder / ".lock", timeout=0) if write else None
+        self._lock: FileLock | None = None
         if not write and not self.path.is_file():
             raise StoreError(f"{folder}: expected a results folder with {FILE}, found none")
         with self._telling():
@@ -240,15 +241,7 @@ class Store:
         return db
 
     def _opened_to_write(self) -> sqlite3.Connection:
-        assert self._lock is not None
-        try:
-            self._lock.acquire()
-        except Timeout:
-            raise StoreError(
-                f"{self.folder}: another nfbench is writing here; wait for it, or choose another folder with --out"
-            ) from None
-        except OSError as error:
-            raise StoreError(f"{self.folder} cannot be written: {error.strerror or error}") from error
+        self._lock = locked(self.folder)
         try:
             db = sqlite3.connect(self.path, timeout=10)
             damage = db.execute("PRAGMA quick_check(1)").fetchone()[0]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import csv
 import importlib.util
 import json
 import math
@@ -11,7 +10,7 @@ import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, TextIO, TypeAlias, cast, final
+from typing import Any, TypeAlias, cast, final
 
 import numpy as np
 import pandas as pd
@@ -23,6 +22,7 @@ from .budget import Budget, Status
 from .choices import Chooser, Problems
 from .errors import MissingExtra, NfbenchError, PluginError, StoreError
 from .execute import RunRecord, execute
+from .folders import locked, prepare, write_whole
 from .isolation import Isolated
 from .options import Tune, canonical, suggest
 from .registry import Registry
@@ -31,6 +31,7 @@ from .solver import Solver
 from .space import Domain, domains
 from .study import Choice, Method, RunSpec, Study
 from .tables import summarize
+from .trials import TUNED, Trial, Trials
 
 __all__ = ["Plan", "Trial", "Tuning", "judge", "tune"]
 
@@ -63,16 +64,6 @@ class Plan:
 
 
 @dataclass(frozen=True)
-class Trial:
-    """One setting on the training scenes: its score, NaN where a run failed or the setting is impossible, and why."""
-
-    number: int
-    options: dict[str, Any]
-    score: float
-    message: str = ""
-
-
-@dataclass(frozen=True)
 class Tuning:
     """What came of it.
 
@@ -93,7 +84,12 @@ class Tuning:
 
 
 def tune(
-    study: Study, plan: Plan, out: Path, jobs: int = 0, told: Callable[[Trial], None] = lambda trial: None
+    study: Study,
+    plan: Plan,
+    out: Path,
+    jobs: int = 0,
+    told: Callable[[Trial], None] = lambda trial: None,
+    fresh: bool = False,
 ) -> Tuning:
     """Search the solver's options for the least mean log error on training scenes, and compare on held-out ones.
 
@@ -103,16 +99,28 @@ def tune(
     they are a function of study and plan, whatever ``jobs``. Writes ``trials.csv``, a row a trial as it ends, and
     ``tuned.toml`` to ``out``. After KeyboardInterrupt, what was tried until then counts.
 
-    Raises NfbenchError where the plan does not fit the study or no setting runs through, MissingExtra without Optuna.
+    A second call goes on: trials that ``out`` holds are not run again, and the tuner is told their scores, so that
+    what follows is what would have followed. Where there are more than ``plan.trials``, all count. fresh: move an old
+    folder aside first.
+
+    Raises NfbenchError where the plan does not fit the study or no setting runs through, MissingExtra without Optuna,
+    StoreError where the folder cannot be used, has another writer, or belongs to another tuning (nothing is changed),
+    KeyboardInterrupt where it comes before any new trial.
     """
     if importlib.util.find_spec("optuna") is None:
         raise MissingExtra("tuning needs optuna, not installed here: pip install 'nfbench[optuna]'")
     search = _Search(study, plan)
     try:
-        out.mkdir(parents=True, exist_ok=True)
-        with (out / "trials.csv").open("w", encoding="utf-8", newline="") as file:
-            found = search.tuning(file, jobs, told)
-        (out / "tuned.toml").write_text(_toml(found), encoding="utf-8")
+        if not fresh:
+            search.stored(out)  # another tuning's folder is refused before anything is written there
+        prepare(out, fresh)
+        lock = locked(out)
+        try:
+            found = search.tuning(search.stored(out), jobs, told)
+            text = _toml(found)
+            write_whole(out / TUNED, lambda draft: draft.write_text(text, encoding="utf-8"), "trials.csv")
+        finally:
+            lock.release()
     except OSError as error:
         raise StoreError(f"{out}: {error.strerror or error}") from error
     return found
@@ -126,6 +134,7 @@ class _Search:
         self.study, self.plan = study, plan
         self.method = _method(study, plan)
         self.registry = Registry(study.plugins)
+        self.first = max(study.repetitions, plan.held_out)  # repetition for training
         default = self.registry.make("solver", plan.solver, plan.options)
         self.domains = {name: d for name, d in domains(type(default)).items() if name not in plan.options}
         if not self.domains:
@@ -135,19 +144,45 @@ class _Search:
         self.scores: dict[str, tuple[float, str]] = {}
         self.trials: list[Trial] = []
 
-    def tuning(self, file: TextIO, jobs: int, told: Callable[[Trial], None]) -> Tuning:
+    def stored(self, folder: Path) -> Trials:
+        """What the folder holds of this tuning. Raises StoreError where it holds another one."""
+        return Trials(folder, self._identity(), list(self.domains))
+
+    def _identity(self) -> dict[str, Any]:
+        """What decides which settings are tried on which scenes with which scores, as plain data."""
+        study, plan, method = self.study, self.plan, self.method
+        solver = self._choice({}, Problems())
+        assert solver is not None  # it was made
+        return {
+            "solver": plan.solver,
+            "options": canonical(plan.options),
+            "formulation": method.formulation.identity,
+            "budget": method.budget,
+            "training": {"scenes": plan.training, "from_repetition": self.first},
+            "seed": {"tuner": plan.seed, "study": study.seed},
+            "points": [point.scenario.identity for point in study.points],
+            "versions": {
+                "solver": solver.version,
+                "formulation": method.formulation.version,
+                "scenario": "+".join(dict.fromkeys(point.scenario.version for point in study.points)),
+            },
+        }
+
+    def tuning(self, stored: Trials, jobs: int, told: Callable[[Trial], None]) -> Tuning:
+        self.plan = replace(self.plan, trials=max(self.plan.trials, len(stored) - 1))
+        before = len(stored)
         frame, verdict, interrupted = None, "It was interrupted before held-out scenes were run.", False
         try:
             _warm_up(self.study, self.registry, self.plan)
             with _runner(self.study.plugins, jobs) as run:
-                self._search(run, file, told)
+                self._search(run, stored, told)
                 if self._best().number == 0:
                     verdict = f"No setting of {self.plan.trials} is better on the training scenes: keep the default."
                 else:
                     frame, verdict = self._compare(run)
         except KeyboardInterrupt:
             interrupted = True
-            if not self.trials:
+            if len(self.trials) <= before:
                 raise
         plan, study, method = self.plan, self.study, self.method
         best = self._best()
@@ -159,18 +194,19 @@ class _Search:
             raise NfbenchError(f"no setting of {self.plan.solver} ran through; the default: {self.trials[0].message}")
         return min(valid, key=lambda trial: trial.score)
 
-    def _search(self, run: Run, file: TextIO, told: Callable[[Trial], None]) -> None:
+    def _search(self, run: Run, stored: Trials, told: Callable[[Trial], None]) -> None:
         import optuna
 
-        rows = csv.writer(file)
-        rows.writerow(["trial", "score", "message", *self.domains])
-
         def keep(options: dict[str, Any]) -> Trial:
-            trial = Trial(len(self.trials), options, *self._score(options, run))
+            number = len(self.trials)
+            trial = stored.replay(number, options)
+            if trial is None:
+                score, message = self._score(options, run)
+                trial = Trial(number, options, score, self.error, message)
+                stored.add(trial)
+            else:
+                self.error, self.scores[_key(options)] = trial.error, (trial.score, trial.message)
             self.trials.append(trial)
-            score = "" if math.isnan(trial.score) else repr(trial.score)
-            rows.writerow([trial.number, score, trial.message, *(options[name] for name in self.domains)])
-            file.flush()
             told(trial)
             return trial
 
@@ -191,24 +227,27 @@ class _Search:
 
     def _score(self, options: dict[str, Any], run: Run) -> tuple[float, str]:
         """A setting's score on the training scenes, and what went wrong."""
-        problems = Problems()
-        table = {"kind": self.plan.solver, **self.plan.options, **options}
-        chosen = Chooser(self.registry, problems).choose("solver", table, self.plan.solver)
-        if chosen is None:
-            return math.nan, "; ".join(problems.texts)
-        key = json.dumps(chosen[0].identity, sort_keys=True)
-        if key not in self.scores:
-            first = max(self.study.repetitions, self.plan.held_out)
-            records = run(self._specs(chosen[0], range(first, first + self.plan.training)))
+        if (key := _key(options)) not in self.scores:
+            problems = Problems()
+            chosen = self._choice(options, problems)
+            if chosen is None:
+                return math.nan, _line("; ".join(problems.texts))
+            records = run(self._specs(chosen, range(self.first, self.first + self.plan.training)))
             if not self.scores and any(_miscounted(record) for record in records):
                 self.error = "gospa_m"
             self.scores[key] = self._mean_log(records)
         return self.scores[key]
 
+    def _choice(self, options: dict[str, Any], problems: Problems) -> Choice | None:
+        """The solver with a setting; None, with the problems noted, where that is impossible."""
+        table = {"kind": self.plan.solver, **self.plan.options, **options}
+        chosen = Chooser(self.registry, problems).choose("solver", table, self.plan.solver)
+        return chosen[0] if chosen else None
+
     def _mean_log(self, records: list[RunRecord]) -> tuple[float, str]:
         for record in records:
             if record.status is not Status.OK:
-                return math.nan, f"{record.status}: {record.message}"
+                return math.nan, _line(f"{record.status}: {record.message}")
         errors = self._errors(records)
         if np.isnan(errors).any():
             return math.nan, f"a run without {self.error}"
@@ -228,10 +267,9 @@ class _Search:
         """Default and best on held-out scenes."""
         rows, errors = [], {}
         for name, options in (("default", self.default), ("tuned", self._best().options)):
-            table = {"kind": self.plan.solver, **self.plan.options, **options}
-            chosen = Chooser(self.registry, Problems()).choose("solver", table, "solver")
+            chosen = self._choice(options, Problems())
             assert chosen is not None  # it ran on training scenes
-            records = run(self._specs(chosen[0], range(self.plan.held_out)))
+            records = run(self._specs(chosen, range(self.plan.held_out)))
             errors[name] = self._errors(records)
             rows += [
                 {
@@ -307,6 +345,15 @@ def _runner(plugins: tuple[str, ...], jobs: int) -> Iterator[Run]:
         return
     with Isolated(plugins, jobs) as workers:
         yield lambda specs: [future.result() for future in [workers.submit(spec) for spec in specs]]
+
+
+def _key(options: dict[str, Any]) -> str:
+    return json.dumps(options, sort_keys=True)
+
+
+def _line(text: str) -> str:
+    """The text in one line, so that a row of ``trials.csv`` is one."""
+    return " ".join(text.split())
 
 
 def _miscounted(record: RunRecord) -> bool:

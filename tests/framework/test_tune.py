@@ -169,7 +169,7 @@ def test_the_same_seed_gives_the_same_trials_in_workers_too(path, tmp_path):
 def test_settings_that_fail_are_told_and_never_best(path, tmp_path):
     found = tune(load_study(path), plan(trials=25, seed=3), tmp_path / "out")
     table = pd.read_csv(tmp_path / "out" / "trials.csv")
-    assert list(table.columns) == ["trial", "score", "message", "points", "width", "mode"] and len(table) == 26
+    assert list(table.columns) == ["trial", "score", "error", "message", "points", "width", "mode"] and len(table) == 26
     broken = table["mode"] == "broken"
     assert broken.any() and (table["score"].isna() == (broken | (table["points"] == 64))).all()
     assert table.loc[broken, "message"].str.contains("failed: RuntimeError: out of luck|64 are too many").all()
