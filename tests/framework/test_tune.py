@@ -3,7 +3,11 @@
 import dataclasses
 import importlib.util
 import math
+import os
 import re
+import signal
+import subprocess
+import sys
 from typing import Annotated, Literal
 
 import numpy as np
@@ -13,8 +17,9 @@ from typer.testing import CliRunner
 
 import nfbench
 import nfbench.tuning
-from nfbench import Ge, Gt, Le, Lt, MissingExtra, NfbenchError, Options, Tune
+from nfbench import Ge, Gt, Le, Lt, MissingExtra, NfbenchError, Options, StoreError, Tune
 from nfbench.cli import app
+from nfbench.folders import locked
 from nfbench.manifest import load_study
 from nfbench.options import build
 from nfbench.registry import Registry
@@ -225,6 +230,214 @@ def test_without_optuna_it_says_how_to_get_it(path, tmp_path, monkeypatch):
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     with pytest.raises(MissingExtra, match=r"pip install 'nfbench\[optuna\]'"):
         tune(load_study(path), plan(), tmp_path / "out")
+
+
+# --- going on --------------------------------------------------------------------------------------------------------
+
+STOP = """
+    def minimize(self, problem, rng):
+        import multiprocessing, os
+        if "STOP" in os.environ:  # at run number STOP, a signal to the process that tunes
+            with open(os.environ["STOP_COUNTER"], "ab") as file:
+                file.write(b".")
+                file.flush()
+                if file.tell() == int(os.environ["STOP"]):
+                    tuning = os.getppid() if multiprocessing.parent_process() else os.getpid()
+                    os.kill(tuning, int(os.environ["STOP_SIGNAL"]))
+"""
+FILES = ("trials.csv", "tuned.toml", "tuning.json")
+
+
+def contents(folder):
+    return {file.name: (file.read_bytes(), file.stat().st_mtime_ns) for file in folder.iterdir()}
+
+
+def written(folder):
+    return [(folder / name).read_bytes() for name in FILES]
+
+
+def small(**more):
+    return plan(**{"trials": 3, "training": 1, "held_out": 1, **more})
+
+
+@needs_optuna
+@pytest.mark.parametrize(
+    ("number", "jobs", "then"), [(signal.SIGKILL, 0, 0), (signal.SIGKILL, 2, 2), (signal.SIGINT, 2, 0)]
+)
+def test_a_tuning_killed_and_gone_on_with_ends_as_one_that_was_not(path, tmp_path, number, jobs, then):
+    plugin = tmp_path / "points.py"
+    plugin.write_text(PLUGIN.replace("\n    def minimize(self, problem, rng):\n", STOP))
+    out, size = tmp_path / "out", {"trials": 11, "training": 2}
+    tune(load_study(path), plan(**size), tmp_path / "whole")
+    stop = {"STOP": "20", "STOP_COUNTER": str(tmp_path / "count"), "STOP_SIGNAL": str(int(number))}
+    arguments = ["--trials", 11, "--training", 2, "--held-out", 6, "--jobs", jobs, "--out", out]
+    command = [sys.executable, "-m", "nfbench", "tune", "points", path, *arguments]
+    done = subprocess.run([*map(str, command)], env={**os.environ, **stop}, capture_output=True, text=True, timeout=300)
+    assert done.returncode == (130 if number == signal.SIGINT else -number), done.stderr
+    begun, whole = (out / "trials.csv").read_bytes(), (tmp_path / "whole" / "trials.csv").read_bytes()
+    assert whole.startswith(begun) and 4 <= begun.count(b"\n") < whole.count(b"\n") == 13
+    tune(load_study(path), plan(**size), out, then)
+    assert written(out) == written(tmp_path / "whole")
+
+
+@needs_optuna
+def test_what_is_stored_is_not_run_again_and_more_trials_follow(path, tmp_path, monkeypatch):
+    study, out, specs, execute = load_study(path), tmp_path / "out", [], nfbench.tuning.execute
+    monkeypatch.setattr(
+        "nfbench.tuning.execute", lambda spec, registry: (specs.append(spec), execute(spec, registry))[1]
+    )
+    first, before = tune(study, plan(trials=5), out), written(out)
+    specs.clear()
+    again = tune(study, plan(trials=2), out)
+    assert repr(again.trials) == repr(first.trials) and len(again.trials) == 6 and written(out) == before
+    assert {spec.repetition for spec in specs} == set(range(6)) and len(specs) == 24  # the held-out ones alone
+    tune(study, plan(trials=9), out)
+    tune(study, plan(trials=9), tmp_path / "whole")
+    assert written(out) == written(tmp_path / "whole") != before
+
+
+@needs_optuna
+def test_a_line_written_in_part_does_no_harm(path, tmp_path):
+    study, out = load_study(path), tmp_path / "out"
+    tune(study, small(), out)
+    whole, table = written(out), out / "trials.csv"
+    data = table.read_bytes()
+    header, last = data.index(b"\n") + 1, data.rindex(b"\n", 0, -1) + 1
+    for torn in (
+        b"",
+        data[:9],
+        data[:header],
+        data[: header + 7],
+        data[: last + 1],
+        data[:-1],
+        data[:last] + b"\0" * 99,
+    ):
+        table.write_bytes(torn)
+        tune(study, small(), out)
+        assert written(out) == whole, torn
+    (out / "tuned.toml").unlink()
+    table.unlink()  # killed between two files
+    tune(study, small(), out)
+    assert written(out) == whole
+
+
+@needs_optuna
+def test_the_measure_is_that_of_the_stored_default(path, tmp_path, monkeypatch):
+    study, out, execute = load_study(path), tmp_path / "out", nfbench.tuning.execute
+
+    def miscounting(spec, registry):  # with the default alone
+        record, found = execute(spec, registry), 3.0 - (spec.method.solver.options["points"] == 1)
+        more = {"gospa_m": 2 * record.scores["rmse_m"], "sources": 3.0, "sources_found": found}
+        return dataclasses.replace(record, scores=record.scores | more)
+
+    def told(trial):
+        if trial.number == 1:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr("nfbench.tuning.execute", miscounting)
+    how = small(options={"mode": "fine"})
+    whole = tune(study, how, tmp_path / "whole")
+    assert tune(study, how, out, told=told).interrupted
+    assert tune(study, how, out).error == whole.error == "gospa_m"
+    assert written(out) == written(tmp_path / "whole")
+
+
+@needs_optuna
+def test_an_interruption_before_anything_new_changes_nothing(path, tmp_path):
+    tune(load_study(path), small(), tmp_path / "out")
+    before = contents(tmp_path / "out")
+
+    def told(trial):
+        if trial.number == 2:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        tune(load_study(path), small(trials=5), tmp_path / "out", told=told)
+    assert contents(tmp_path / "out") == before
+
+
+@needs_optuna
+def test_a_folder_of_another_tuning_is_refused_with_what_differs(path, manifest, tmp_path):
+    out, files = tmp_path / "out", [tmp_path / "points.py"]
+    tune(load_study(path), small(), out)
+    before = contents(out)
+
+    def refused(study, how, differing):
+        with pytest.raises(StoreError, match=f"belongs to another tuning: {re.escape(differing)}.*--out.*--fresh"):
+            tune(load_study(study), how, out)
+        assert contents(out) == before
+
+    refused(path, small(seed=5), "seed.tuner is 0 there, 5 was asked for; choose")
+    refused(path, small(training=2), "training.scenes is 1 there, 2 was asked for; choose")
+    refused(path, small(held_out=9), "training.from_repetition is 4 there, 9 was asked for; choose")
+    refused(path, small(options={"patience": 4}), "options.patience is None there, 4 was asked for; choose")
+    refused(path, small(evaluations=7), "budget.evaluations is 40 there, 7 was asked for; choose")
+    refused(path, small(formulation="two"), "formulation.kind is 'once' there, 'twice' was asked for; choose")
+    for text, seed, differing in (
+        (STUDY, 2, "seed.study is 1 there, 2"),
+        (STUDY.replace("0.5", "0.4"), 1, "points[1].noise is 0.5 there, 0.4"),
+        (STUDY.replace("0.5", "0.5, 0.6"), 1, "points are 2 there, 3 were"),
+    ):
+        refused(manifest(text, repetitions=4, seed=seed, plugins=files, file="other.toml"), small(), differing)
+    same = manifest(STUDY, repetitions=3, plugins=files, file="same.toml", name="renamed")
+    assert len(tune(load_study(same), small(held_out=4), out).trials) == 4  # the scenes are the same ones
+    before = contents(out)
+    files[0].write_text(PLUGIN + "# changed")
+    refused(path, small(), "versions.solver is ")
+
+
+@needs_optuna
+def test_a_folder_that_cannot_be_read_is_refused(path, tmp_path):
+    study, out = load_study(path), tmp_path / "out"
+    tune(study, small(), out)
+    table, about = (out / "trials.csv").read_bytes(), (out / "tuning.json").read_bytes()
+    rows = table.splitlines(keepends=True)
+    number, score, *rest = rows[2].split(b",")
+    other = b",".join([number, score, *rest[:2], b"17", *rest[3:]])
+    for name, data, why in (
+        ("trials.csv", rows[0] + rows[2], "cannot be read: expected trial 0 in line 2, got 1,"),
+        (
+            "trials.csv",
+            table.replace(b"points", b"dots", 1),
+            "cannot be read: expected the columns trial, score, error",
+        ),
+        ("trials.csv", b"".join([*rows[:2], b",".join([number, b"low", *rest])]), "could not convert.*'low'"),
+        ("trials.csv", b"\xff\n" + table, "cannot be read: .*decode"),
+        (
+            "trials.csv",
+            b"".join([*rows[:2], other, b"torn"]),
+            r"trial 1 is another setting.*points is 17 there, \d+ now",
+        ),
+        ("tuning.json", about[:40], "cannot be read: "),
+        ("tuning.json", b"[]", "cannot be read: "),
+        ("tuning.json", None, "trials.csv and tuned.toml of a tuning without tuning.json"),
+    ):
+        (out / "trials.csv").write_bytes(table)
+        (out / "tuning.json").write_bytes(about)
+        (out / name).unlink() if data is None else (out / name).write_bytes(data)
+        before = contents(out)
+        with pytest.raises(StoreError, match=f"{why}.*--out.*--fresh"):
+            tune(study, small(), out)
+        assert contents(out) == before, why
+
+
+@needs_optuna
+def test_fresh_moves_a_folder_aside_unless_somebody_writes_there(path, tmp_path):
+    study, out = load_study(path), tmp_path / "out"
+    tune(study, small(), out)
+    before = written(out)
+    lock = locked(out)
+    for fresh in (False, True):
+        with pytest.raises(StoreError, match="another nfbench is writing here"):
+            tune(study, small(), out, fresh=fresh)
+        with pytest.raises(StoreError, match="another nfbench is writing here"):
+            nfbench.run(study, out=out, jobs=0, fresh=fresh)
+    lock.release()
+    assert written(out) == before
+    arguments = ["tune", "points", path, "--trials", 1, "--training", 1, "--held-out", 1, "--jobs", 0, "--out", out]
+    assert CliRunner().invoke(app, [*map(str, arguments), "--seed", "7", "--fresh"]).exit_code == 0
+    (old,) = tmp_path.glob("out.2*")
+    assert written(old) == before and len(pd.read_csv(out / "trials.csv")) == 2
 
 
 # --- what it says ----------------------------------------------------------------------------------------------------
