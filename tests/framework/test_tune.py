@@ -267,16 +267,16 @@ def small(**more):
 def test_a_tuning_killed_and_gone_on_with_ends_as_one_that_was_not(path, tmp_path, number, jobs, then):
     plugin = tmp_path / "points.py"
     plugin.write_text(PLUGIN.replace("\n    def minimize(self, problem, rng):\n", STOP))
-    out, size = tmp_path / "out", {"trials": 11, "training": 2}
-    tune(load_study(path), plan(**size), tmp_path / "whole")
+    out, how = tmp_path / "out", plan(trials=16, training=2, options={"mode": "fine"})  # TPE itself begins after 10
+    tune(load_study(path), how, tmp_path / "whole")
     stop = {"STOP": "20", "STOP_COUNTER": str(tmp_path / "count"), "STOP_SIGNAL": str(int(number))}
-    arguments = ["--trials", 11, "--training", 2, "--held-out", 6, "--jobs", jobs, "--out", out]
-    command = [sys.executable, "-m", "nfbench", "tune", "points", path, *arguments]
+    arguments = ["--trials", 16, "--training", 2, "--held-out", 6, "--option", "mode=fine", "--jobs", jobs]
+    command = [sys.executable, "-m", "nfbench", "tune", "points", path, *arguments, "--out", out]
     done = subprocess.run([*map(str, command)], env={**os.environ, **stop}, capture_output=True, text=True, timeout=300)
     assert done.returncode == (130 if number == signal.SIGINT else -number), done.stderr
     begun, whole = (out / "trials.csv").read_bytes(), (tmp_path / "whole" / "trials.csv").read_bytes()
-    assert whole.startswith(begun) and 4 <= begun.count(b"\n") < whole.count(b"\n") == 13
-    tune(load_study(path), plan(**size), out, then)
+    assert whole.startswith(begun) and 4 <= begun.count(b"\n") < whole.count(b"\n") == 18
+    tune(load_study(path), how, out, then)
     assert written(out) == written(tmp_path / "whole")
 
 
@@ -286,13 +286,13 @@ def test_what_is_stored_is_not_run_again_and_more_trials_follow(path, tmp_path, 
     monkeypatch.setattr(
         "nfbench.tuning.execute", lambda spec, registry: (specs.append(spec), execute(spec, registry))[1]
     )
-    first, before = tune(study, plan(trials=5), out), written(out)
+    first, before = tune(study, plan(trials=6), out), written(out)
     specs.clear()
     again = tune(study, plan(trials=2), out)
-    assert repr(again.trials) == repr(first.trials) and len(again.trials) == 6 and written(out) == before
+    assert repr(again.trials) == repr(first.trials) and len(again.trials) == 7 and written(out) == before
     assert {spec.repetition for spec in specs} == set(range(6)) and len(specs) == 24  # the held-out ones alone
-    tune(study, plan(trials=9), out)
-    tune(study, plan(trials=9), tmp_path / "whole")
+    tune(study, plan(trials=22), out)
+    tune(study, plan(trials=22), tmp_path / "whole")
     assert written(out) == written(tmp_path / "whole") != before
 
 
