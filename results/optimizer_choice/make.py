@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import functools
 import itertools
+import math
 import re
 import sys
 from dataclasses import dataclass
 from pathlib import Path
 
+import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 
 import nfbench
+from nfbench.figures.style import GREY, WIDTHS, styled
 from nfbench.problems.geometry import cartesian
 from nfbench.registry import Registry
 
@@ -23,6 +27,7 @@ from ledger import OUTLIER, RESAMPLES, ratio, rms  # noqa: E402
 STUDY = HERE.parents[1] / "studies" / "optimizer_choice.toml"
 BEGIN, END = "<!-- table: written by make.py -->", "<!-- end of table -->"
 PAPER = {"neef": "neef + de, paper @{}", "nemo": "nemo + de(population=50){}"}  # the paper's DE
+GOALS = (f"to come within {OUTLIER:g} bounds", "to the first source's minimum")
 SHOWN = 12  # solvers of a table in README.md; all.md has every one
 
 
@@ -41,9 +46,14 @@ class Part:
         return f"{self.formulation.upper()}, {self.budget:,} evaluations{each}"
 
 
+@functools.cache
+def study() -> nfbench.Study:
+    return nfbench.load_study(STUDY)
+
+
 def parts() -> list[Part]:
     """What the study compares, from its manifest."""
-    methods = nfbench.load_study(STUDY).methods
+    methods = study().methods
     found = []
     for kind, budget in (("neef", 60000), ("neef", 12000), ("nemo", 15000), ("nemo", 3000)):
         names = tuple(
@@ -58,39 +68,42 @@ def parts() -> list[Part]:
     return found
 
 
-# --- evaluations to the bound --------------------------------------------------------------------------------------
+# --- what getting there costs -----------------------------------------------------------------------------------------
 
 
 def write_reached(folder: Path) -> None:
-    """``reached.csv``: for each run of NEEF at its full budget, when it came near the bound for good.
+    """``reached.csv``: for each run with the paper's budget, when it got there for good.
 
-    Near is an error of at most OUTLIER times the scene's bound. evaluations, seconds: to get there, or all that the run
-    made where it did not.
+    With NEEF: to an error of at most OUTLIER times the scene's bound. With NEMO, whose first problem is the same for
+    every solver: within one bound of the first problem's minimizer, the best that any run has found. evaluations,
+    seconds: to get there, or all that the run made where it did not.
     """
-    part = parts()[0]
     results = nfbench.Results(folder)
-    runs = results.runs.set_index("run_id")
-    runs = runs[runs.method.isin(part.names) & (runs.status == "ok")]
+    runs = results.runs[results.runs.status == "ok"].set_index("run_id")
+    full = {name: part.formulation for part in parts() if part.budget in (60000, 15000) for name in part.names}
+    formulation = runs.method.map(full)
     truth = _truth(runs)
+    traces = results.traces
+    traces = traces[(traces.problem == 0) & traces.run_id.isin(runs.index)]
+    nemo = traces[traces.run_id.isin(runs.index[runs.method.str.startswith("nemo")])]
+    first = nemo.assign(scene=nemo.run_id.map(runs.instance_seed)).sort_values("value").groupby("scene").first()
     rows = []
-    for run_id, trace in results.traces.groupby("run_id", sort=False):
-        if run_id not in runs.index:
-            continue
-        run = runs.loc[run_id]
+    for run_id, trace in traces[traces.run_id.map(formulation).notna()].groupby("run_id", sort=False):
+        run, kind = runs.loc[run_id], formulation[run_id]
         theta = truth[run.instance_seed]
-        x = trace[[f"x_{j}" for j in range(theta.size)]].to_numpy()
-        far = errors(x.reshape(-1, *theta.shape), theta) > OUTLIER * run.crb_m
-        near = not far[-1]
-        first = len(far) - int(far[::-1].argmax()) if near and far.any() else 0 if near else len(far) - 1
-        row = trace.iloc[first]
-        rows.append((run.method, run.repetition, near, int(row.evaluations), row.seconds))
-    table = pd.DataFrame(rows, columns=["method", "repetition", "near", "evaluations", "seconds"])
+        goal = theta if kind == "neef" else first.loc[run.instance_seed, ["x_0", "x_1"]].to_numpy(float)[None]
+        x = trace[[f"x_{j}" for j in range(goal.size)]].to_numpy()
+        far = errors(x.reshape(-1, *goal.shape), goal) > (OUTLIER if kind == "neef" else 1) * run.crb_m
+        there = not far[-1]
+        row = trace.iloc[len(far) - int(far[::-1].argmax()) if there and far.any() else 0 if there else -1]
+        rows.append((run.method, run.repetition, there, int(row.evaluations), row.seconds))
+    table = pd.DataFrame(rows, columns=["method", "repetition", "there", "evaluations", "seconds"])
     table.sort_values(["method", "repetition"]).to_csv(folder / "reached.csv", index=False, float_format="%.3g")
 
 
 def _truth(runs: pd.DataFrame) -> dict[int, np.ndarray]:
     """The true sources (K, d) of each scene, by its seed."""
-    choice = nfbench.load_study(STUDY).points[0].scenario
+    choice = study().points[0].scenario
     scenario = Registry().make("scenario", choice.kind, choice.options)
     return {seed: scenario.draw(np.random.default_rng(seed)).theta for seed in runs.instance_seed.unique()}
 
@@ -104,17 +117,17 @@ def errors(estimates: np.ndarray, theta: np.ndarray) -> np.ndarray:
     return np.sqrt(np.min(sums, axis=0))
 
 
-def expected(cost: np.ndarray, near: np.ndarray) -> np.ndarray:
-    """What coming near the bound costs, run after run until one does: all costs over the successes; inf: never."""
+def expected(cost: np.ndarray, there: np.ndarray) -> np.ndarray:
+    """What getting there costs, run after run until one does: all costs over the successes; inf: never."""
     with np.errstate(divide="ignore"):
-        return cost.sum(axis=0) / near.sum(axis=0)
+        return cost.sum(axis=0) / there.sum(axis=0)
 
 
-def interval(cost: np.ndarray, near: np.ndarray) -> tuple[float, float, float]:
+def interval(cost: np.ndarray, there: np.ndarray) -> tuple[float, float, float]:
     """``expected`` and its 95 % interval over scenes."""
     index = np.random.default_rng(0).integers(len(cost), size=(len(cost), RESAMPLES))
-    low, high = np.quantile(expected(cost[index], near[index]), [0.025, 0.975], method="nearest")
-    return float(expected(cost, near)), float(low), float(high)
+    low, high = np.quantile(expected(cost[index], there[index]), [0.025, 0.975], method="nearest")
+    return float(expected(cost, there)), float(low), float(high)
 
 
 def share(hits: int, n: int) -> str:
@@ -141,10 +154,10 @@ def tables(folder: Path, shown: int | None) -> str:
 
 def _table(part: Part, E: pd.DataFrame, summary: pd.DataFrame, reached: pd.DataFrame, shown: int | None) -> list[str]:
     bound, theirs = E["crb_m"].to_numpy(), E[part.base].to_numpy()
-    full = part.names[0] in set(reached.method)
-    heads = ["solver", f"within {OUTLIER:g} bounds"]
-    heads += ["evaluations to get there"] if full else []
-    heads += ["RMSE ÷ bound", "RMSE ÷ that of the paper's DE", "evaluations", "seconds ÷ DE's"]
+    at_full = part.base in set(reached.method)
+    heads = ["solver", f"within {OUTLIER:g} bounds", "RMSE ÷ bound", "RMSE ÷ that of the paper's DE"]
+    where = "there" if part.formulation == "neef" else "to the first source's minimum"
+    heads += [f"evaluations {where}", "seconds ÷ DE's"] if at_full else ["evaluations", "seconds ÷ DE's"]
     rows = []
     for name in [*part.names, *(["grid-refine"] if part.formulation == "neef" else [])]:
         error = E[name].to_numpy()
@@ -154,35 +167,84 @@ def _table(part: Part, E: pd.DataFrame, summary: pd.DataFrame, reached: pd.DataF
         against, low, high = ratio(error, theirs, rms)
         told = " **better**" if high < 0.99 else " worse" if low > 1.01 else ""
         failed = f", {summary.failed[name]} failed" if summary.failed[name] else ""
-        cells = [f"{_solver(name)}{failed}", share(int(near.sum()), int(ok.sum()))]
-        if full:
-            cells.append(_cost(reached[reached.method == name]))
-        cells += [
+        cells = [
+            f"{_solver(name)}{failed}",
+            share(int(near.sum()), int(ok.sum())),
             f"{value:.3g}",
             "the paper's" if name == part.base else f"{against:.2g} ({low:.2g} – {high:.2g}){told}",
-            f"{summary.evaluations[name]:,.0f}" if summary.evaluations[name] else "–",
-            f"{summary.runtime_s[name] / summary.runtime_s[part.base]:.2g}",
         ]
-        rows.append((-near.mean(), value, name, "| " + " | ".join(cells) + " |"))
+        cost = math.inf
+        if at_full and name in set(reached.method):
+            cost, *told = _cost(reached, name, part.base)
+            cells += told
+        else:
+            cells.append(f"{summary.evaluations[name]:,.0f}" if summary.evaluations[name] else "–")
+            cells.append(f"{summary.runtime_s[name] / summary.runtime_s[part.base]:.2g}")
+        rows.append((cost, -near.mean(), value, name, "| " + " | ".join(cells) + " |"))
     rows.sort()
     always = (part.base, "grid-refine")
-    kept = [row for place, row in enumerate(rows) if shown is None or place < shown or row[2] in always]
+    kept = [row for place, row in enumerate(rows) if shown is None or place < shown or row[3] in always]
     more = [f"\n{len(rows) - len(kept)} more in [all.md](all.md)."] if len(kept) < len(rows) else []
-    return ["| " + " | ".join(heads) + " |", "|---" * len(heads) + "|", *(row[3] for row in kept), *more]
+    return ["| " + " | ".join(heads) + " |", "|---" * len(heads) + "|", *(row[-1] for row in kept), *more]
 
 
-def _cost(runs: pd.DataFrame) -> str:
-    """Expected evaluations to come near the bound; nothing for a method that makes none."""
-    if runs.empty:
-        return "–"
-    cost, low, high = interval(runs.evaluations.to_numpy(float), runs.near.to_numpy())
-    return "never" if np.isinf(cost) else f"{cost:,.0f} ({low:,.0f} – {high:,.0f})".replace("inf", "∞")
+def _cost(reached: pd.DataFrame, name: str, base: str) -> tuple[float, str, str]:
+    """The expected evaluations to get there, in words too, and the seconds over those of the paper's DE."""
+    own, theirs = reached[reached.method == name], reached[reached.method == base]
+    cost, low, high = interval(own.evaluations.to_numpy(float), own.there.to_numpy())
+    if np.isinf(cost):
+        return cost, "never", ""
+    seconds = [float(expected(runs.seconds.to_numpy(), runs.there.to_numpy())) for runs in (own, theirs)]
+    return cost, f"{cost:,.0f} ({low:,.0f} – {high:,.0f})".replace("inf", "∞"), f"{seconds[0] / seconds[1]:.2g}"
 
 
+@functools.cache
 def _solver(name: str) -> str:
-    """A method's name in a table of its formulation and budget."""
-    formulation, _, solver = re.sub(r" @\d+$", "", name).partition(" + ")
-    return f"{solver}, refined" if "refined" in formulation else solver or formulation
+    """A method's solver as tables name it: a library with its algorithm."""
+    method = next((method for method in study().methods if method.label == name), None)
+    if method is None or method.solver is None:
+        return name
+    if "algorithm" in method.solver.options:
+        return f"{method.solver.kind} {method.solver.options['algorithm']}"
+    told = re.sub(r" @\d+$", "", name).partition(" + ")[2]
+    return f"{told}, refined" if "refined" in method.formulation.label else told
+
+
+# --- figure --------------------------------------------------------------------------------------------------------
+
+
+def draw(folder: Path) -> None:
+    """``cost.svg``: what getting there costs, a line a solver, those of NEEF in order."""
+    reached = pd.read_csv(folder / "reached.csv")
+    panels = [(part, _costs(part, reached)) for part in parts() if part.base in set(reached.method)]
+    order = sorted(panels[0][1], key=lambda solver: (*panels[0][1][solver][::2], panels[1][1].get(solver, (math.inf,))))
+    with styled():
+        figure, axes = plt.subplots(1, 2, figsize=(WIDTHS["double"], 0.6 + 0.155 * len(order)), sharey=True)
+        for ax, (part, costs), goal in zip(axes, panels, GOALS, strict=True):
+            for place, solver in enumerate(order):
+                if solver in costs and math.isinf(costs[solver][0]):
+                    ax.text(
+                        0.98, place, "never", color=GREY, va="center", ha="right", transform=ax.get_yaxis_transform()
+                    )
+                elif solver in costs:
+                    cost, low, high = costs[solver]
+                    is_paper = solver == _solver(panels[0][0].base) or (solver == _solver(part.base))
+                    colour = "#D55E00" if is_paper else "#0072B2"
+                    ax.plot([low, min(high, 1e9)], [place, place], color=colour, linewidth=1)
+                    ax.plot(cost, place, "o", color=colour, markersize=3)
+            ax.set(xscale="log", xlabel=f"evaluations {goal}", title=part.formulation.upper())
+            ax.set_xlim(right=min(ax.get_xlim()[1], 3e6))
+        axes[0].set(yticks=range(len(order)), yticklabels=order, ylim=(len(order) - 0.3, -0.7))
+        figure.tight_layout()
+        figure.savefig(folder / "cost.svg", metadata={"Date": None})
+
+
+def _costs(part: Part, reached: pd.DataFrame) -> dict[str, tuple[float, float, float]]:
+    grouped = {name: runs for name, runs in reached.groupby("method") if name in part.names}
+    return {
+        _solver(name): interval(runs.evaluations.to_numpy(float), runs.there.to_numpy())
+        for name, runs in grouped.items()
+    }
 
 
 def main() -> None:
@@ -198,6 +260,7 @@ def write(folder: Path) -> None:
     text = page.read_text(encoding="utf-8")
     block = f"{BEGIN}\n{tables(folder, SHOWN)}\n\n{END}"
     page.write_text(re.sub(f"{BEGIN}.*{END}", lambda _: block, text, flags=re.DOTALL), encoding="utf-8")
+    draw(folder)
     head = "# Every solver\n\nWritten by make.py; see [README.md](README.md).\n"
     (HERE / "all.md").write_text(f"{head}{tables(folder, None)}\n", encoding="utf-8")
 
