@@ -18,13 +18,7 @@ from .floor import local_fit, noise_free_columns
 from .geometry import cartesian
 from .wavefronts import Manifold
 
-__all__ = ["CUTOFF_M", "NearFieldInstance"]
-
-CUTOFF_M = 1.0
-"""The cut-off c [m] of ``gospa_m``: a source missed and an estimate too many add c²/2 each to its square, p = α = 2.
-
-It is where by default tables begin to count a source as off (Rahmathullah, García-Fernández & Svensson 2017,
-doi:10.23919/ICIF.2017.8009645)."""
+__all__ = ["NearFieldInstance"]
 
 
 @final
@@ -36,6 +30,7 @@ class NearFieldInstance(Instance):
     [rad, m]. manifold: the array and the wavefront the data were made with. lower, upper: (d,) the box of one source.
     H: (1, M, K) the channel of the block, or (T, M, K) that of every snapshot. symbols: (K, T) what the sources sent,
     of power snr. snr: (K,) per source and antenna, over the noise. rician_k: κ, inf in pure line of sight.
+    gospa_cutoff_m: c [m] of ``gospa_m``.
     """
 
     Y: Complex[ndarray, "m t"]
@@ -47,6 +42,7 @@ class NearFieldInstance(Instance):
     symbols: Complex[ndarray, "k t"]
     snr: Float[ndarray, " k"]
     rician_k: float
+    gospa_cutoff_m: float = 1.0
 
     @property
     def sources(self) -> int:
@@ -60,7 +56,9 @@ class NearFieldInstance(Instance):
         """Cartesian errors [m] of the assignment of estimates to sources with the least sum of squares (Kuhn 1955).
 
         ``rmse_m`` is the root of the mean square of those matched, min(K, K̂) of them; ``error_1_m`` … belong to the
-        true sources in order, NaN where one has no partner. ``gospa_m`` counts the others too, as CUTOFF_M says.
+        true sources in order, NaN where one has no partner. ``gospa_m`` counts the others too: p = α = 2, so that a
+        source missed and an estimate too many add c²/2 each to its square (Rahmathullah, García-Fernández & Svensson
+        2017, doi:10.23919/ICIF.2017.8009645).
         ``sources`` is K, ``sources_found`` K̂. All are NaN if the estimate is not finite, ``rmse_m`` if it is empty.
         Beside them stand the ``bounds``, which do not depend on the estimate. Raises ValueError unless the estimate is
         (K̂, d) [rad, m].
@@ -78,7 +76,12 @@ class NearFieldInstance(Instance):
             true, matched = linear_sum_assignment(squares)
             errors[true] = np.sqrt(squares[true, matched])
             rmse = math.sqrt(np.mean(squares[true, matched])) if found else math.nan
-            scores = {"rmse_m": rmse, "gospa_m": _gospa(squares), "sources": K, "sources_found": found}
+            scores = {
+                "rmse_m": rmse,
+                "gospa_m": _gospa(squares, self.gospa_cutoff_m),
+                "sources": K,
+                "sources_found": found,
+            }
         scores |= {f"error_{k}_m": float(error) for k, error in enumerate(errors, start=1)}
         return scores | self.bounds()
 
@@ -124,8 +127,8 @@ def _root_mean_square(lengths: Float[ndarray, " k"]) -> float:
     return math.sqrt(np.mean(lengths**2))
 
 
-def _gospa(squares: Float[ndarray, "k found"]) -> float:
+def _gospa(squares: Float[ndarray, "k found"], cutoff: float) -> float:
     """GOSPA of squared distances for p = α = 2: a pair beyond the cut-off costs as much as a missed and a false one."""
-    near = np.minimum(squares, CUTOFF_M**2)
+    near = np.minimum(squares, cutoff**2)
     unmatched = abs(squares.shape[0] - squares.shape[1])
-    return math.sqrt(near[linear_sum_assignment(near)].sum() + unmatched * CUTOFF_M**2 / 2)
+    return math.sqrt(near[linear_sum_assignment(near)].sum() + unmatched * cutoff**2 / 2)

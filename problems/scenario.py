@@ -39,7 +39,8 @@ class NearField(Scenario):
     are distributed. azimuth_deg, elevation_deg, range_m: the box [low, high] that sources are drawn from and estimates
     are searched in [°, °, m]; without elevation_deg all is in the plane. min_separation_deg: least angle between any
     two sources, seen from the origin [°]. positions: fixed sources instead of drawn ones, each [azimuth, (elevation,)
-    range] [°, m].
+    range] [°, m]. gospa_cutoff_m: c [m], what is farther off counts as missed in ``gospa_m``; by default as in the
+    tables.
     """
 
     instance: ClassVar[type[Instance]] = NearFieldInstance
@@ -58,6 +59,7 @@ class NearField(Scenario):
     range_m: tuple[_Finite, _Finite]
     min_separation_deg: Annotated[float, Ge(0.0), Le(180.0)] = 0.0
     positions: tuple[tuple[_Finite, ...], ...] | None = None
+    gospa_cutoff_m: Annotated[float, Gt(0.0), Lt(math.inf)] = 1.0
 
     def validate(self) -> None:
         problems = [
@@ -100,7 +102,7 @@ class NearField(Scenario):
         symbols = np.sqrt(snr)[:, None] * complex_normal(for_symbols, (self.sources, self.snapshots))
         N = complex_normal(for_noise, (manifold.elements, self.snapshots))
         Y = np.einsum("tmk,kt->mt", np.broadcast_to(H, (self.snapshots, *H.shape[1:])), symbols) + N
-        return NearFieldInstance(Y, theta, manifold, lower, upper, H, symbols, snr, self.rician_k)
+        return NearFieldInstance(Y, theta, manifold, lower, upper, H, symbols, snr, self.rician_k, self.gospa_cutoff_m)
 
     def _box(self) -> tuple[Float[ndarray, " d"], Float[ndarray, " d"]]:
         """The bounds of one source [rad, m]."""

@@ -12,7 +12,6 @@ from nfbench import OptionError
 from nfbench.options import build, canonical
 from nfbench.problems.arrays import ULA, UPA
 from nfbench.problems.geometry import cartesian, directions
-from nfbench.problems.instance import CUTOFF_M
 from nfbench.problems.scenario import NearField, NearFieldInstance
 
 MANIFEST = {
@@ -261,9 +260,10 @@ def gospa_by_brute_force(instance: NearFieldInstance, estimate: np.ndarray, c: f
     sources=st.integers(1, 4),
     found=st.integers(0, 4),
     spread_m=st.sampled_from([0.3, 3.0]),
+    cutoff_m=st.sampled_from([0.5, 1.0]),
 )
-def test_score_is_the_best_assignment(seed, sources, found, spread_m):
-    instance = draw(sources=sources, snapshots=1, range_m=[5, 6], azimuth_deg=[0, 10])
+def test_score_is_the_best_assignment(seed, sources, found, spread_m, cutoff_m):
+    instance = draw(sources=sources, snapshots=1, range_m=[5, 6], azimuth_deg=[0, 10], gospa_cutoff_m=cutoff_m)
     rng = np.random.default_rng(seed)  # some estimates lie within the cut-off of gospa_m, some beyond
     estimate = rng.uniform(instance.lower, instance.lower + np.array([0.2, spread_m]), (found, 2))
     scores = instance.score(estimate)
@@ -275,7 +275,7 @@ def test_score_is_the_best_assignment(seed, sources, found, spread_m):
     matched = errors[~np.isnan(errors)]
     rmse = math.sqrt(np.mean(matched**2)) if found else math.nan
     assert scores["rmse_m"] == pytest.approx(rmse, rel=1e-9, nan_ok=True)
-    assert scores["gospa_m"] == pytest.approx(gospa_by_brute_force(instance, estimate, CUTOFF_M), rel=1e-9)
+    assert scores["gospa_m"] == pytest.approx(gospa_by_brute_force(instance, estimate, cutoff_m), rel=1e-9)
     assert (scores["sources"], scores["sources_found"]) == (sources, found)
     shuffled = rng.permutation(estimate)
     assert_allclose(list(instance.score(shuffled).values()), list(scores.values()), rtol=1e-9)
@@ -290,12 +290,12 @@ def test_errors_belong_to_the_true_sources_in_order():
 
 
 def test_a_missed_source_and_one_too_many_cost_half_a_squared_cutoff_each():
-    instance = draw(positions=[[-40, 5], [0, 5], [40, 5]])
-    assert instance.score(instance.theta[:2])["gospa_m"] == pytest.approx(CUTOFF_M / math.sqrt(2))
+    instance, cutoff_m = draw(positions=[[-40, 5], [0, 5], [40, 5]], gospa_cutoff_m=0.7), 0.7
+    assert instance.score(instance.theta[:2])["gospa_m"] == pytest.approx(cutoff_m / math.sqrt(2))
     twin = np.vstack([instance.theta, instance.theta[:1]])
-    assert instance.score(twin)["gospa_m"] == pytest.approx(CUTOFF_M / math.sqrt(2))
+    assert instance.score(twin)["gospa_m"] == pytest.approx(cutoff_m / math.sqrt(2))
     nothing = instance.score(np.empty((0, 2)))
-    assert nothing["gospa_m"] == pytest.approx(CUTOFF_M * math.sqrt(3 / 2))
+    assert nothing["gospa_m"] == pytest.approx(cutoff_m * math.sqrt(3 / 2))
     assert math.isnan(nothing["rmse_m"])
 
 
