@@ -8,6 +8,7 @@ matter. Seeds are fixed: a test that passes does so always.
 import contextlib
 import json
 import typing
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,7 @@ from scipy.stats import ks_2samp
 from nfbench import Budget, minimize
 from nfbench.problems.bbob import BBOBProblem
 from nfbench.problems.functions import Functions
+from nfbench.solvers import jade
 from nfbench.solvers.de import DE
 from nfbench.solvers.jade import JADE
 from nfbench.solvers.jso import JSO
@@ -31,6 +33,7 @@ INSTANCES = {
     10: 12,
     15: 5,
 }  # rotated ellipsoid and Rastrigin; of the first 15 those with the innermost x_opt, within ±2.2
+GAPS = dict.fromkeys(INSTANCES, 1e-6)  # above f_opt
 
 
 def task(function, n):
@@ -40,14 +43,25 @@ def task(function, n):
         return scenario.draw(np.random.default_rng(0)).problem, TARGETS[function]
     pytest.importorskip("cocoex")
     problem = BBOBProblem("coco", function, n, INSTANCES[function])
-    return problem, problem.f_opt + 1e-6
+    return problem, problem.f_opt + GAPS[function]
 
 
 def ours(solver, function, n, budget, runs):
-    """Evaluations to the target; the budget where it was not reached."""
+    """Evaluations to the target, the rest of its batch included; the budget where it was not reached."""
     problem, target = task(function, n)
     limit = Budget(evaluations=budget, target=target)
     return [minimize(problem, solver, limit, seed).evaluations for seed in range(runs)]
+
+
+def ours_exactly(solver, function, n, budget, runs):
+    """The same without the rest of the batch, as Counted counts other people's."""
+    problem, target = task(function, n)
+    hits = []
+    for seed in range(runs):
+        trace = minimize(problem, solver, Budget(evaluations=budget, target=target), seed).trace
+        reached = np.flatnonzero(trace.values <= target)
+        hits.append(int(trace.evaluations[reached[0]]) if len(reached) else budget)
+    return hits
 
 
 class Counted:
@@ -140,6 +154,21 @@ def test_adaptive_de_agrees_with_minionpy(solver, algorithm, population, functio
     assert alike(ours(solver, function, n, budget, runs), theirs)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("function", "n", "budget"), [("sphere", 6, 20_000), ("rastrigin", 6, 40_000), (10, 5, 20_000), (15, 3, 60_000)]
+)
+def test_jade_with_the_arithmetic_mean_of_f_agrees_with_minionpy(function, n, budget, monkeypatch):
+    """minionpy has that mean where the paper has the Lehmer mean, and lets the population shrink if not told."""
+    runs, N = 60, 60
+    theirs = minion("JADE", function, n, budget, runs, population_size=N, minimum_population_size=N)
+    assert np.median(theirs) < budget
+    lehmer = ours_exactly(JADE(population=N), function, n, budget, runs)
+    assert not alike(lehmer, theirs)
+    monkeypatch.setattr(jade, "lehmer", lambda values, weights: np.average(values, weights=weights))
+    assert alike(ours_exactly(JADE(population=N), function, n, budget, runs), theirs)
+
+
 @pytest.mark.parametrize("function", ["sphere", "rastrigin"])
 @pytest.mark.parametrize(
     ("solver", "name"), [(JADE(population=60), "jade"), (SHADE(population=60, memory=60), "shade")]
@@ -150,30 +179,88 @@ def test_jade_and_shade_agree_with_mealpy(solver, name, function):
     assert alike(ours(solver, function, 6, 20_000, 40), theirs)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("function", "n", "budget"), [("sphere", 6, 20_000), ("ackley", 4, 20_000)])
-def test_pso_agrees_with_pygmo(function, n, budget):
-    """pygmo's generational PSO, canonical with constriction and the global best, by Biscani & Izzo."""
+def pygmo_pso(function, n, budget, runs):
+    """The same with pygmo's generational PSO, canonical with constriction and the global best, by Biscani & Izzo."""
     pygmo = pytest.importorskip("pygmo")
-    runs, swarm, hits = 60, 50, []
+    swarm, hits = 50, []
 
     class Objective:
         def __deepcopy__(self, memo):  # pygmo copies its problems; the count must stay one
             return self
 
         def fitness(self, x):
+            return self.batch_fitness(x)
+
+        def batch_fitness(self, x):
             if counted.hit < budget:
                 raise StopIteration
-            return counted(x)
+            return counted(x.reshape(-1, n))
 
         def get_bounds(self):
             return counted.problem.lower, counted.problem.upper
 
     for seed in range(runs):
         counted = Counted(function, n, budget)
-        population = pygmo.population(pygmo.problem(Objective()), swarm, seed=seed)
-        algorithm = pygmo.pso_gen(budget // swarm, 0.72984, 2.05, 2.05, 1.0, 5, 1, seed=seed)
+        algorithm = pygmo.pso_gen(budget // swarm, 0.72984, 2.05, 2.05, 1.0, 5, 1, seed=1000 + seed)
+        algorithm.set_bfe(pygmo.bfe())
         with contextlib.suppress(StopIteration):
-            pygmo.algorithm(algorithm).evolve(population)
+            pygmo.algorithm(algorithm).evolve(pygmo.population(pygmo.problem(Objective()), swarm, pygmo.bfe(), seed))
         hits.append(counted.hit)
-    assert alike(ours(PSO(swarm=swarm), function, n, budget, runs), hits)
+    return hits
+
+
+@dataclass(frozen=True)
+class LikePygmo(PSO):
+    """PSO with what pygmo's does otherwise: by Bratton & Kennedy's standard all three are False.
+
+    sticks: a particle that passes a bound is set on it and loses its velocity there, instead of flying on.
+    starts: velocities start uniform within a width of the box, instead of half the way to another point.
+    clamps: no velocity is above a width of the box.
+    """
+
+    sticks: bool = False
+    starts: bool = False
+    clamps: bool = False
+
+    def minimize(self, problem, rng):
+        shape, width = (self.swarm, problem.dimension), problem.upper - problem.lower
+        x = problem.from_unit(rng.random(shape))
+        u = rng.random(shape)
+        v = width * (2 * u - 1) if self.starts else 0.5 * (problem.from_unit(u) - x)
+        p, f = x.copy(), problem.evaluate(x)
+        while True:
+            e1, e2 = rng.random(shape), rng.random(shape)
+            v = self.chi * (v + self.c1 * e1 * (p - x) + self.c2 * e2 * (p[f.argmin()] - x))
+            if self.clamps:
+                v = np.clip(v, -width, width)
+            x = x + v
+            outside = (x < problem.lower) | (x > problem.upper)
+            if self.sticks:
+                x, v = np.clip(x, problem.lower, problem.upper), np.where(outside, 0.0, v)
+            flown = [] if self.sticks else np.flatnonzero(outside.any(axis=1))
+            inside = np.setdiff1d(np.arange(self.swarm), flown)
+            values = problem.evaluate(x[inside])
+            better = values < f[inside]
+            p[inside[better]], f[inside[better]] = x[inside[better]], values[better]
+
+
+def test_like_pygmo_without_its_differences_is_pso():
+    assert ours(LikePygmo(), "ackley", 4, 20_000, 3) == ours(PSO(), "ackley", 4, 20_000, 3)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("function", "n", "budget"), [("sphere", 6, 20_000), ("ackley", 4, 20_000), (10, 5, 20_000), (15, 3, 20_000)]
+)
+def test_pso_agrees_with_pygmo_but_for_three_differences(function, n, budget, monkeypatch):
+    if function == 10:  # which PSO does not solve to 1e-6: its coordinates are handled one by one
+        monkeypatch.setitem(GAPS, function, 100.0)
+    runs = 200
+    theirs = pygmo_pso(function, n, budget, runs)
+    names = ("sticks", "starts", "clamps")
+    for chosen in ((), *((name,) for name in names), names[:2], names):
+        print("+".join(chosen) or "the standard", end=": ")
+        hits = ours_exactly(LikePygmo(**dict.fromkeys(chosen, True)), function, n, budget, runs)
+        agrees = alike(hits, theirs)
+    assert min(hits) < budget
+    assert agrees

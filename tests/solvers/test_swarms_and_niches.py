@@ -60,6 +60,60 @@ def test_pso_constriction_is_clerc_and_kennedys():
     assert_allclose(PSO().chi, 2 / abs(2 - phi - np.sqrt(phi**2 - 4 * phi)), atol=5e-6)
 
 
+def plain_crowding(f, lower, upper, N, m, steps, rng):
+    """Thomsen's crowding DE with Qu, Suganthan & Liang's m neighbours (None: all), one number at a time."""
+    n, F, CR = len(lower), 0.5, 0.9
+
+    def distance(a, b):
+        return sum(((a[j] - lower[j]) / w[j] - (b[j] - lower[j]) / w[j]) ** 2 for j in range(n))
+
+    w = [upper[j] - lower[j] for j in range(n)]
+    unit = rng.random((N, n))
+    x = [[lower[j] + unit[i, j] * w[j] for j in range(n)] for i in range(N)]
+    values, seen = [f(xi) for xi in x], [list(xi) for xi in x]
+    for _ in range(steps):
+        partners = []
+        draws = rng.random((N, m or N - 1))
+        for i in range(N):
+            others = [(i + k) % N for k in range(1, N)]
+            if m is not None:
+                near = sorted(others, key=lambda k, i=i: distance(x[k], x[i]))[:m]
+                d = [-1.0 if k == i else distance(x[k], x[i]) for k in range(N)]
+                others = [k for k in np.argpartition(d, m)[: m + 1] if k != i]  # the same ones; draws go by this order
+                assert set(others) == set(near)
+            order = sorted(range(len(others)), key=lambda k, i=i: draws[i, k])
+            partners.append([others[k] for k in order[:3]])
+        rand, j_rand = rng.random((N, n)), rng.integers(n, size=N)
+        trials = []
+        for i, (r1, r2, r3) in enumerate(partners):
+            u = list(x[i])
+            for j in range(n):
+                if rand[i, j] <= CR or j == j_rand[i]:
+                    v = x[r1][j] + F * (x[r2][j] - x[r3][j])
+                    u[j] = (x[i][j] + lower[j]) / 2 if v < lower[j] else (x[i][j] + upper[j]) / 2 if v > upper[j] else v
+            trials.append(u)
+        for u in trials:
+            nearest = min(range(N), key=lambda k, u=u: distance(u, x[k]))
+            if (value := f(u)) <= values[nearest]:
+                x[nearest], values[nearest] = list(u), value
+        seen += trials
+    return np.array(seen)
+
+
+@pytest.mark.parametrize("neighbors", [None, 10])
+def test_crowding_evaluates_the_same_points_as_a_plain_loop(neighbors):
+    lower, upper = np.array([-2.0, -1.0, 0.1]), np.array([1.0, 0.5, 3.3])
+
+    def rugged(X):
+        return (X**2).sum(axis=1) + np.cos(7 * X[:, 0]) * X[:, -1]
+
+    problem = Formula(rugged, lower, upper)
+    minimize(problem, CrowdingDE(population=30, neighbors=neighbors), 3000, 3)
+    f = lambda x: float(rugged(np.array([x]))[0])  # noqa: E731
+    seen = plain_crowding(f, lower, upper, 30, neighbors, 99, np.random.default_rng(3))
+    assert_allclose(problem.points, seen, rtol=0, atol=1e-9)
+
+
 def test_crowding_replaces_the_nearest_and_only_by_no_worse():
     x, f = np.array([[0.0, 0.0], [1.0, 0.0]]), np.array([1.0, 2.0])
     u, fu = np.array([[0.9, 0.0], [0.1, 0.0], [0.8, 0.0]]), np.array([2.0, 1.5, 1.9])
