@@ -31,6 +31,7 @@ from .study import RunSpec
 __all__ = ["Isolated"]
 
 MAX_FAILED_STARTS = 3  # in a row: then no worker can start here
+GROWTH_MB = 1024.0  # of a worker's memory, after which another takes its place
 CLOSING_S = 5.0  # for workers to end by themselves
 
 
@@ -131,7 +132,7 @@ class Isolated:
         idle = sum(each.spec is None for each in self._workers)
         for _ in range(min(self._jobs - len(self._workers), len(self._queue) - idle)):
             ours, theirs = self._spawn.Pipe()
-            arguments = (theirs, self._plugins, self._folder.name)
+            arguments = (theirs, self._plugins, self._folder.name, GROWTH_MB)
             process = self._spawn.Process(target=worker.serve, args=arguments, daemon=True)
             process.start()
             theirs.close()
@@ -168,7 +169,7 @@ class Isolated:
 
     def _hear(self, each: _Worker) -> None:
         try:
-            record = each.pipe.recv()
+            said = each.pipe.recv()
         except Exception:  # the end of the pipe, or of a message that will not be completed
             each.process.join(CLOSING_S)
             words = worker.last_words(self._folder.name, each.process.pid)
@@ -178,10 +179,15 @@ class Isolated:
         if not each.ready:
             each.ready, self._failed_starts = True, 0
         elif each.future:
+            record, retires = said
             future, each.spec, each.future, each.deadline = each.future, None, None, math.inf
+            if retires:
+                self._bury(each)
             future.set_result(record)
 
-    def _bury(self, each: _Worker, status: Status, message: str, runtime_s: float = math.nan) -> None:
+    def _bury(
+        self, each: _Worker, status: Status = Status.CRASHED, message: str = "", runtime_s: float = math.nan
+    ) -> None:
         """The worker is dead or shall be: its run, if it has one, ends so."""
         each.process.kill()
         each.process.join()

@@ -26,16 +26,23 @@ THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"
 TAIL = 400  # characters of a dead worker's output that are kept
 
 
-def serve(pipe: Connection, plugins: tuple[str | Path, ...], folder: str) -> None:
-    """A worker's life: say that it is ready, then take a spec and give back its record until there are none."""
+def serve(pipe: Connection, plugins: tuple[str | Path, ...], folder: str, growth_mb: float) -> None:
+    """A worker's life: say that it is ready, then take a spec and give back its record until there are none.
+
+    With each record goes whether it was the last: a worker that has grown by ``growth_mb`` since its first run retires,
+    so that a library which never frees its memory does not fill the machine in a long study.
+    """
     start(plugins, folder)
     pipe.send(None)
+    before = None
     while True:
         try:
             spec = pipe.recv()
         except EOFError:
             return
-        pipe.send(work(spec))
+        record = work(spec)
+        before = _resident_mb() if before is None else before
+        pipe.send((record, _resident_mb() - before > growth_mb))
 
 
 def start(plugins: tuple[str | Path, ...], folder: str) -> None:
@@ -81,6 +88,15 @@ def _die_with_parent() -> None:
     """On Linux, have the kernel kill this process when the one that started it is gone, however it went."""
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG
+
+
+def _resident_mb() -> float:
+    """The memory of this process that is in RAM; 0 where /proc does not tell."""
+    try:
+        pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
+    except OSError:
+        return 0.0
+    return pages * os.sysconf("SC_PAGE_SIZE") / 2**20
 
 
 def _output(folder: str, pid: int) -> Path:

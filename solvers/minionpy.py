@@ -70,14 +70,16 @@ class MinionPy(Solver):
         def objective(points: list[list[float]]) -> list[float]:
             return finite.many(problem.evaluate(from_unit(problem, np.array(points)))).tolist()
 
-        stop.run(
-            Minimizer(
-                stop.guard(objective),
-                [(0.0, 1.0)] * n,
-                x0=[rng.random(n).tolist()],
-                algo=self.algorithm,
-                maxevals=planned(problem, self.horizon),
-                seed=int(rng.integers(2**31 - 1)),
-                options=None if self.population is None else {"population_size": self.population},
-            ).optimize
+        minimizer = Minimizer(
+            stop.guard(objective),
+            [(0.0, 1.0)] * n,
+            x0=[rng.random(n).tolist()],
+            algo=self.algorithm,
+            maxevals=planned(problem, self.horizon),
+            seed=int(rng.integers(2**31 - 1)),
+            options=None if self.population is None else {"population_size": self.population},
         )
+        try:
+            stop.run(minimizer.optimize)
+        finally:
+            minimizer.optimizer = None  # its hold on the objective is hidden from the garbage collector

@@ -82,8 +82,9 @@ def run(
         with contextlib.suppress(nlopt.RoundoffLimited):  # it can tell the values apart no further: an end
             optimizer.optimize(rng.random(n))
     finally:
+        del optimizer  # its hold on the objective, and by it on an error's frames, is hidden from the garbage collector
         if ended:
-            raise ended[0]
+            raise ended.pop()
 
 
 @dataclass(frozen=True)

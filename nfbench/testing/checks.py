@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import gc
 import io
 import pickle
 import random
 import re
 import warnings
+import weakref
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
@@ -312,6 +314,25 @@ def _quiet(subject: Subject) -> None:
             leaked,
             "Turn the library's messages off, or its warnings with np.errstate or warnings.catch_warnings.",
         )
+
+
+@_check
+def _released(subject: Subject) -> None:
+    kept = []
+    for _ in range(3):
+        probe = subject.probe()
+        kept.append(weakref.ref(probe))
+        subject.run(probe, 500)
+        del probe
+    gc.collect()
+    alive = sum(reference() is not None for reference in kept)
+    need(
+        alive <= 1,  # the last one may stay, in a library's cache
+        "problems to be freed when their runs are over",
+        f"{alive} of {len(kept)} that something still holds, so that a long study fills the memory",
+        "Keep nothing on the solver or its module. A library's object may hide its reference to your function from the "
+        "garbage collector: delete it before minimize ends, also by BudgetExhausted.",
+    )
 
 
 def _search(subject: Subject, probe: Probe, where: str) -> None:

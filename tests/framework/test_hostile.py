@@ -14,7 +14,7 @@ import pytest
 from conftest import BASIC
 
 import nfbench
-from nfbench import NfbenchError, Status, StoreError, load_study
+from nfbench import NfbenchError, Status, StoreError, isolation, load_study
 from nfbench.isolation import Isolated
 
 TIMES = ["runtime_s", "cpu_s"]
@@ -95,6 +95,16 @@ def test_every_hostile_solver_costs_only_its_own_rows(manifest, tmp_path):
     pd.testing.assert_frame_equal(kept, expected[expected.repetition < 2], check_exact=True)
     assert not [pid for pid in results.origins.worker.unique() if pid != os.getpid() and alive(pid)]
     assert time.monotonic() - start < 60
+
+
+def test_a_worker_that_grows_is_replaced_and_no_run_is_lost(manifest, tmp_path, monkeypatch):
+    monkeypatch.setattr(isolation, "GROWTH_MB", 100.0)
+    path = manifest(BASIC.replace('"sampler"', '"keeps"'), repetitions=12)
+    results = run(path, tmp_path / "out", jobs=1)  # 32 MiB a run: the first is not counted, the fifth is the last
+    assert set(results.runs.status) == {"ok"} and len(results.runs) == 12
+    assert results.origins.groupby("worker").size().tolist() == [5, 5, 2]
+    monkeypatch.setattr(isolation, "GROWTH_MB", 1000.0)
+    assert run(path, tmp_path / "other", jobs=1).origins.worker.nunique() == 1
 
 
 def test_a_dead_workers_last_words_are_in_the_message(manifest, tmp_path):

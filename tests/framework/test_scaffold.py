@@ -71,7 +71,7 @@ def test_a_check_that_hangs_is_stopped_and_the_others_go_on(tmp_path):
     (tmp_path / "waits.py").write_text(BROKEN)
     done = nfbench("check", "solver", "waits.py", "--timeout", 5, cwd=tmp_path)
     lines = {line.split()[1].rstrip(":"): line for line in done.stdout.splitlines()[1:]}
-    assert done.returncode == 1 and len(lines) == 17
+    assert done.returncode == 1 and len(lines) == 18
     assert {name for name, line in lines.items() if "FAIL" in line} == {"nan-plateau", "constant", "quiet"}
     assert "expected an end within 5 s, got none. Ask problem.evaluate" in lines["nan-plateau"]
     assert lines["constant"].endswith("constant: the same as in nan-plateau")

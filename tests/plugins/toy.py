@@ -189,6 +189,16 @@ class Hoards(Solver):
             held.append(bytearray(2**24))
 
 
+KEPT = []
+
+
+@dataclass(frozen=True)
+class Keeps(Solver):
+    def minimize(self, problem, rng):
+        KEPT.append(b"x" * 2**25)
+        problem(problem.lower)
+
+
 @dataclass(frozen=True)
 class Shouts(Solver):
     def minimize(self, problem, rng):

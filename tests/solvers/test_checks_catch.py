@@ -333,6 +333,20 @@ class Undocumented(Solver):
         sample(problem, rng)
 
 
+HELD = []
+
+
+@dataclass(frozen=True)
+class Holds(Solver):
+    """Keeps every problem it has met."""
+
+    info: ClassVar[SolverInfo] = SolverInfo(converges=False)
+
+    def minimize(self, problem, rng):
+        HELD.append(problem)
+        sample(problem, rng)
+
+
 CAUGHT = [
     (Outside, "bounds", "expected every point within the box, even where the minimum is in its corner, got x["),
     (Deaf, "stops-when-told", "raised at evaluation 1, to leave minimize at once, got 2 further requests"),
@@ -358,6 +372,7 @@ CAUGHT = [
     (AbsoluteSteps, "any-box", "measure steps and tolerances in widths of the box"),
     (Warns, "quiet", "RuntimeWarning: step size guessed"),
     (Talks, "quiet", "here we go"),
+    (Holds, "released", "problems to be freed when their runs are over, got 3 of 3"),
     (Undocumented, "described", "a docstring that explains every option, got nothing on temperature"),
 ]
 
