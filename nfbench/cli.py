@@ -73,6 +73,13 @@ class Metric(StrEnum):
     MEDIAN = "median"
 
 
+class Target(StrEnum):
+    """What ``nfbench export`` can write."""
+
+    IOH = "ioh"
+    CSV = "csv"
+
+
 @app.callback(invoke_without_command=True)
 def about(
     version: Annotated[bool, typer.Option("--version", help="Print the version and stop.")] = False,
@@ -312,6 +319,22 @@ def figure(
     )
     for path in write_figures(Results(folder), out or folder, kinds, how, _warn):
         typer.echo(path)
+
+
+@app.command()
+def export(
+    folder: Folder,
+    to: Annotated[Target, typer.Option(help="IOHprofiler's data format, or a table.")],
+    out: Annotated[
+        Path | None, typer.Option(metavar="PATH", help="Where to (default: export-ioh/ or traces.csv in DIR).")
+    ] = None,
+) -> None:
+    """Write the traces of a study's runs, objective against evaluations, for other tools."""
+    from .export import export_csv, export_ioh
+    from .results import Results
+
+    write = {Target.IOH: export_ioh, Target.CSV: export_csv}[to]
+    typer.echo(write(Results(folder), out))
 
 
 @app.command("list")

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Callable
+import shutil
+from collections.abc import Callable, Iterator
 from datetime import datetime
 from pathlib import Path
 
@@ -12,7 +13,7 @@ from filelock import FileLock, Timeout
 
 from .errors import StoreError
 
-__all__ = ["locked", "prepare", "write_whole"]
+__all__ = ["locked", "prepare", "whole_folder", "write_whole"]
 
 
 def prepare(folder: Path, fresh: bool) -> None:
@@ -52,6 +53,24 @@ def write_whole(path: Path, make: Callable[[Path], object], kept: str = "runs.sq
             os.fsync(file.fileno())
         draft.replace(path)
     except OSError as error:
+        raise StoreError(f"{path}: {error.strerror or error}; finished rows are kept in {kept}") from error
+    finally:
         with contextlib.suppress(OSError):
             draft.unlink()
-        raise StoreError(f"{path}: {error.strerror or error}; finished rows are kept in {kept}") from error
+
+
+@contextlib.contextmanager
+def whole_folder(path: Path) -> Iterator[Path]:
+    """A new folder to fill, which becomes ``path`` at the end, and vanishes on any exception.
+
+    Raises StoreError where it cannot be written, or something is there already.
+    """
+    draft = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        draft.mkdir(parents=True)
+        yield draft
+        draft.rename(path)
+    except OSError as error:
+        raise StoreError(f"{path}: {error.strerror or error}") from error
+    finally:
+        shutil.rmtree(draft, ignore_errors=True)

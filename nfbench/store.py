@@ -10,6 +10,7 @@ import sqlite3
 import time
 import zlib
 from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
@@ -25,7 +26,7 @@ from .trace import Trace
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["Store", "network_file_system"]
+__all__ = ["Store", "TracedRun", "network_file_system"]
 
 FILE = "runs.sqlite"
 SCHEMA = 2
@@ -44,6 +45,22 @@ _MIGRATIONS = {  # what makes a file of that schema one of the next
 }
 _PLAN_COLUMNS = 10
 _RESULT_COLUMNS = 13
+_PAGE = 256  # runs read at once with their traces
+
+
+@dataclass(frozen=True)
+class TracedRun:
+    """A finished run and how it went: a trace for each problem it minimized, none where it minimized none."""
+
+    run_id: str
+    scenario: str
+    formulation: str
+    solver: str
+    method: str
+    repetition: int
+    swept: dict[str, Any]
+    status: str
+    traces: tuple[Trace, ...]
 
 
 class Store:
@@ -137,6 +154,28 @@ class Store:
         with self._telling():
             for run_id, blob in self._db.execute(f"SELECT run_id, traces {_JOINED}"):
                 yield run_id, _unpacked(blob)
+
+    def traced_runs(self) -> Iterator[TracedRun]:
+        """Every finished run of the plan with its traces, in order.
+
+        Read in pages, so that one who takes long over them keeps neither memory nor the writer waiting.
+        """
+        query = (
+            "SELECT ordinal, run_id, scenario, formulation, solver, method, repetition, swept, status, traces "
+            "FROM plan JOIN results USING (run_id) WHERE ordinal > ? ORDER BY ordinal LIMIT ?"
+        )
+        page: list[tuple[Any, ...]] = [(-1,)]
+        while page:
+            with self._telling():
+                page = self._db.execute(query, [page[-1][0], _PAGE]).fetchall()
+            for _, *about, swept, status, blob in page:
+                yield TracedRun(*about, json.loads(swept), status, _unpacked(blob))
+
+    def swept_keys(self) -> list[str]:
+        """The keys that the plan sweeps, in order."""
+        with self._telling():
+            settings = self._db.execute("SELECT swept FROM plan GROUP BY swept ORDER BY MIN(ordinal)").fetchall()
+        return list(dict.fromkeys(key for (text,) in settings for key in json.loads(text)))
 
     def estimates(self) -> Iterator[tuple[str, Any]]:
         """(run_id, estimate as nested lists) of every finished run of the plan that has one, in its order."""
