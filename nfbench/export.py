@@ -68,7 +68,7 @@ def export_ioh(results: Results, out: Path | None = None) -> Exported:
     their first evaluation.
 
     Raises StoreError without a study or where the folder cannot be written, NfbenchError where it exists or there is
-    nothing to write. Source: Doerr, Wang, Ye, van Rijn and Bäck (2018), and the files that ioh's logger Analyzer writes.
+    nothing to write. Source: Doerr, Wang, Ye, van Rijn & Bäck (2018), and the files of ioh's logger Analyzer.
     """
     out = results.folder / "export-ioh" if out is None else out
     _refuse_existing(out)

@@ -53,13 +53,12 @@ class TracedRun:
     """A finished run and how it went: a trace for each problem it minimized, none where it minimized none."""
 
     run_id: str
-    scenario: str
     formulation: str
     solver: str
     method: str
     repetition: int
-    swept: dict[str, Any]
     status: str
+    swept: dict[str, Any]
     traces: tuple[Trace, ...]
 
 
@@ -161,15 +160,16 @@ class Store:
         Read in pages, so that one who takes long over them keeps neither memory nor the writer waiting.
         """
         query = (
-            "SELECT ordinal, run_id, scenario, formulation, solver, method, repetition, swept, status, traces "
+            "SELECT ordinal, run_id, formulation, solver, method, repetition, status, swept, traces "
             "FROM plan JOIN results USING (run_id) WHERE ordinal > ? ORDER BY ordinal LIMIT ?"
         )
         page: list[tuple[Any, ...]] = [(-1,)]
         while page:
             with self._telling():
                 page = self._db.execute(query, [page[-1][0], _PAGE]).fetchall()
-            for _, *about, swept, status, blob in page:
-                yield TracedRun(*about, json.loads(swept), status, _unpacked(blob))
+            for _, run_id, formulation, solver, method, repetition, status, swept, traces in page:
+                about = (run_id, formulation, solver, method, repetition, status)
+                yield TracedRun(*about, json.loads(swept), _unpacked(traces))
 
     def swept_keys(self) -> list[str]:
         """The keys that the plan sweeps, in order."""

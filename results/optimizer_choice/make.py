@@ -130,6 +130,16 @@ def interval(cost: np.ndarray, there: np.ndarray) -> tuple[float, float, float]:
     return float(expected(cost, there)), float(low), float(high)
 
 
+def against(own: pd.DataFrame, theirs: pd.DataFrame) -> tuple[float, float]:
+    """The 95 % interval of the ratio of expected evaluations, over the scenes that both have."""
+    both = own.merge(theirs, on="repetition", suffixes=("", "_theirs"))
+    index = np.random.default_rng(0).integers(len(both), size=(len(both), RESAMPLES))
+    cost, there = both.evaluations.to_numpy(float)[index], both.there.to_numpy()[index]
+    other, other_there = both.evaluations_theirs.to_numpy(float)[index], both.there_theirs.to_numpy()[index]
+    low, high = np.quantile(expected(cost, there) / expected(other, other_there), [0.025, 0.975], method="nearest")
+    return float(low), float(high)
+
+
 def share(hits: int, n: int) -> str:
     """hits of n with the 95 % interval of Wilson (1927)."""
     z, p = 1.96, hits / n
@@ -195,7 +205,10 @@ def _cost(reached: pd.DataFrame, name: str, base: str) -> tuple[float, str, str]
     if np.isinf(cost):
         return cost, "never", ""
     seconds = [float(expected(runs.seconds.to_numpy(), runs.there.to_numpy())) for runs in (own, theirs)]
-    return cost, f"{cost:,.0f} ({low:,.0f} – {high:,.0f})".replace("inf", "∞"), f"{seconds[0] / seconds[1]:.2g}"
+    less, more = against(own, theirs)
+    told = " **fewer**" if more < 0.99 else " more" if less > 1.01 else ""
+    shown = f"{cost:,.0f} ({low:,.0f} – {high:,.0f}){told}".replace("inf", "∞")
+    return cost, shown, f"{seconds[0] / seconds[1]:.2g}"
 
 
 @functools.cache
