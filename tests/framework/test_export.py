@@ -221,6 +221,7 @@ def test_the_table_is_the_traces_with_what_they_belong_to(several, monkeypatch):
     table = pd.read_csv(several.folder / "traces.csv")
     added = ["method", "repetition", "scenario.dimension", "scenario.noise", "status"]
     assert list(table) == ["run_id", *added[:-1], "status", "problem", "evaluations", "seconds", "value", "x_0", "x_1"]
+    assert {line.count(b",") for line in whole.splitlines()} == {len(table.columns) - 1}  # not ragged
     pd.testing.assert_frame_equal(table.drop(columns=added), several.traces, check_dtype=False, rtol=0, atol=0)
     runs = several.runs.set_index("run_id")[added]
     pd.testing.assert_frame_equal(table[added], runs.loc[table.run_id].reset_index(drop=True), check_dtype=False)
