@@ -188,8 +188,9 @@ def _table(part: Part, E: pd.DataFrame, summary: pd.DataFrame, reached: pd.DataF
             cost, *told = _cost(reached, name, part.base)
             cells += told
         else:
+            base = _seconds(reached, part.base) if at_full else summary.runtime_s[part.base]
             cells.append(f"{summary.evaluations[name]:,.0f}" if summary.evaluations[name] else "–")
-            cells.append(f"{summary.runtime_s[name] / summary.runtime_s[part.base]:.2g}")
+            cells.append(f"{summary.runtime_s[name] / base:.2g}")
         rows.append((cost, -near.mean(), value, name, "| " + " | ".join(cells) + " |"))
     rows.sort()
     always = (part.base, "grid-refine")
@@ -204,11 +205,16 @@ def _cost(reached: pd.DataFrame, name: str, base: str) -> tuple[float, str, str]
     cost, low, high = interval(own.evaluations.to_numpy(float), own.there.to_numpy())
     if np.isinf(cost):
         return cost, "never", ""
-    seconds = [float(expected(runs.seconds.to_numpy(), runs.there.to_numpy())) for runs in (own, theirs)]
     less, more = against(own, theirs)
     told = " **fewer**" if more < 0.99 else " more" if less > 1.01 else ""
     shown = f"{cost:,.0f} ({low:,.0f} – {high:,.0f}){told}".replace("inf", "∞")
-    return cost, shown, f"{seconds[0] / seconds[1]:.2g}"
+    return cost, shown, f"{_seconds(reached, name) / _seconds(reached, base):.2g}"
+
+
+def _seconds(reached: pd.DataFrame, name: str) -> float:
+    """The expected seconds to get there."""
+    runs = reached[reached.method == name]
+    return float(expected(runs.seconds.to_numpy(), runs.there.to_numpy()))
 
 
 @functools.cache
