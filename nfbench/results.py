@@ -111,6 +111,10 @@ class Results:
         write_whole(self.folder / "runs.csv", lambda path: runs.to_csv(path, index=False))
         write_whole(self.folder / "summary.csv", lambda path: self._summary(runs).to_csv(path, index=False))
 
+    def has_tables(self) -> bool:
+        """Whether ``runs.csv`` and ``summary.csv`` are there."""
+        return all((self.folder / name).is_file() for name in ("runs.csv", "summary.csv"))
+
     def _summary(
         self, runs: pd.DataFrame, by: Sequence[str] | None = None, outlier_m: float | None = None
     ) -> pd.DataFrame:
@@ -172,7 +176,7 @@ def run(
                         listener.finished(spec, record)
         finally:
             batches.close()
-            if todo or is_new or not store.tabled():
+            if todo or is_new or not store.tabled() or not results.has_tables():
                 _write_environment(folder, describe_environment(study.plugins), cluster or jobs, started)
                 results.write_tables()
                 store.mark_tabled()

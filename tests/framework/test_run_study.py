@@ -72,6 +72,16 @@ def test_running_again_resumes_and_computes_only_what_is_missing(manifest, tmp_p
     pd.testing.assert_frame_equal(shrunk, first.head(2), check_exact=True)
 
 
+def test_a_table_that_was_deleted_is_written_again(manifest, tmp_path):
+    run(manifest(BASIC), tmp_path / "out")
+    tables = [tmp_path / "out" / name for name in ("runs.csv", "summary.csv")]
+    before = [path.read_text() for path in tables]
+    for path in tables:
+        path.unlink()
+        run(manifest(BASIC), tmp_path / "out")
+        assert [path.read_text() for path in tables] == before
+
+
 def test_an_interrupted_study_keeps_its_rows_and_goes_on(manifest, tmp_path):
     class Stop:
         def begin(self, total, done): ...
