@@ -155,7 +155,7 @@ def test_bounds_are_drawn_where_the_summary_knows_them(study, known, sweep):
 
 def test_without_a_sweep_methods_stand_below_each_other_the_best_on_top(study):
     results = study()
-    rmse, median, _ = drawings(results)["error"].axes
+    rmse, median, *_ = drawings(results)["error"].axes
     summary = results.summary().sort_values("rmse_m")
     names = [text.get_text().replace("\n", " ") for text in rmse.get_yticklabels()]
     assert names == summary["method"].tolist()

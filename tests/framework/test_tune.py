@@ -272,7 +272,14 @@ def test_a_tuning_killed_and_gone_on_with_ends_as_one_that_was_not(path, tmp_pat
     stop = {"STOP": "20", "STOP_COUNTER": str(tmp_path / "count"), "STOP_SIGNAL": str(int(number))}
     arguments = ["--trials", 16, "--training", 2, "--held-out", 6, "--option", "mode=fine", "--jobs", jobs]
     command = [sys.executable, "-m", "nfbench", "tune", "points", path, *arguments, "--out", out]
-    done = subprocess.run([*map(str, command)], env={**os.environ, **stop}, capture_output=True, text=True, timeout=300)
+    done = subprocess.run(
+        [*map(str, command)],
+        env={**os.environ, **stop},
+        capture_output=True,
+        text=True,
+        timeout=300,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # ignored in a job of a shell
+    )
     assert done.returncode == (130 if number == signal.SIGINT else -number), done.stderr
     begun, whole = (out / "trials.csv").read_bytes(), (tmp_path / "whole" / "trials.csv").read_bytes()
     assert whole.startswith(begun) and 4 <= begun.count(b"\n") < whole.count(b"\n") == 18
