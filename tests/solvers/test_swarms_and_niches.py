@@ -1,5 +1,8 @@
 """PSO, crowding DE, basin hopping, and NLopt's methods that need a gradient."""
 
+import math
+import random
+
 import numpy as np
 import pytest
 from bench_problems import Formula, bowl, ramp, two_valleys
@@ -127,6 +130,32 @@ def test_crowding_measures_in_widths_of_the_box():
     compete(x, f, np.array([[0.3, 10.0]]), np.zeros(1), np.array([1.0, 100.0]))
     assert_array_equal(f, [0.0, 1.0])
     assert x[0].tolist() == [0.3, 10.0]  # √(0.3² + 0.1²) from the first, 0.8 from the second
+
+
+def test_crowding_replaces_as_inspyred_does():
+    """inspyred by Garrett, its crowd being the whole population; it differs at ties alone, of which none is here."""
+    ec = pytest.importorskip("inspyred.ec")
+    N, width = 20, np.array([1.0, 100.0, 0.01])
+
+    def individuals(points, values):
+        made = [ec.Individual(point, maximize=False) for point in points.tolist()]
+        for individual, value in zip(made, values.tolist(), strict=True):
+            individual.fitness = value
+        return made
+
+    def distance(a, b):
+        return math.dist(a / width, b / width)
+
+    for seed in range(50):
+        rng = np.random.default_rng(seed)
+        x, f, u, fu = rng.random((N, 3)) * width, rng.random(N), rng.random((3 * N, 3)) * width, rng.random(3 * N)
+        crowd = {"distance_function": distance, "crowding_distance": N}
+        theirs = ec.replacers.crowding_replacement(
+            random.Random(seed), individuals(x, f), [], individuals(u, fu), crowd
+        )
+        compete(x, f, u, fu, width)
+        ours = [[*point, value] for point, value in zip(x.tolist(), f.tolist(), strict=True)]
+        assert sorted(ours) == sorted([*one.candidate, one.fitness] for one in theirs)
 
 
 def himmelblau():
