@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from scipy.stats import ks_2samp
 
-from nfbench import Budget, minimize
+from nfbench import Budget, Problem, minimize
 from nfbench.problems.bbob import BBOBProblem
 from nfbench.problems.functions import Functions
 from nfbench.solvers import jade
@@ -33,50 +33,44 @@ INSTANCES = {
     10: 12,
     15: 5,
 }  # rotated ellipsoid and Rastrigin; of the first 15 those with the innermost x_opt, within ±2.2
+GAPS = {10: 1e-6, 15: 1e-6}  # the target above f_opt
 
 
 def task(function, n):
-    """A problem and the value to reach."""
+    """A problem and the value to reach, on BBOB's functions f_opt + GAPS."""
     if isinstance(function, str):
         scenario = Functions(function=function, dimension=n, shifted=False)
         return scenario.draw(np.random.default_rng(0)).problem, TARGETS[function]
     pytest.importorskip("cocoex")
     problem = BBOBProblem("coco", function, n, INSTANCES[function])
-    return problem, problem.f_opt + 1e-6
+    return problem, problem.f_opt + GAPS[function]
 
 
-def ours(solver, function, n, budget, runs):
-    """Evaluations to the target, the rest of its batch included; the budget where it was not reached."""
-    problem, target = task(function, n)
-    limit = Budget(evaluations=budget, target=target)
-    return [minimize(problem, solver, limit, seed).evaluations for seed in range(runs)]
-
-
-def ours_exactly(solver, function, n, budget, runs):
-    """The same without the rest of the batch, as Counted counts other people's."""
-    problem, target = task(function, n)
-    hits = []
-    for seed in range(runs):
-        trace = minimize(problem, solver, Budget(evaluations=budget, target=target), seed).trace
-        reached = np.flatnonzero(trace.values <= target)
-        hits.append(int(trace.evaluations[reached[0]]) if len(reached) else budget)
-    return hits
-
-
-class Counted:
-    """An objective that notes at which evaluation its target was first reached."""
+class Counted(Problem):
+    """A task that notes at which evaluation its target was first reached; the budget where it was not."""
 
     def __init__(self, function, n, budget):
         self.problem, self.target = task(function, n)
+        self.lower, self.upper = self.problem.lower, self.problem.upper
         self.count, self.hit = 0, budget
 
-    def __call__(self, X):
+    def evaluate(self, X):
         values = self.problem.evaluate(np.atleast_2d(X))
         reached = np.flatnonzero(values <= self.target)
         if len(reached):
             self.hit = min(self.hit, self.count + int(reached[0]) + 1)
         self.count += len(values)
         return values
+
+
+def ours(solver, function, n, budget, runs):
+    """Evaluations to the target."""
+    hits = []
+    for seed in range(runs):
+        counted = Counted(function, n, budget)
+        minimize(counted, solver, Budget(evaluations=budget, target=counted.target), seed)
+        hits.append(counted.hit)
+    return hits
 
 
 def alike(first, second):
@@ -122,9 +116,9 @@ def minion(algorithm, function, n, budget, runs, **options):
     for seed in range(runs):
         counted = Counted(function, n, budget)
         settings = {"x_tol": -1.0, "f_tol": -1.0, "bound_strategy": "random", **options}
-        box = list(zip(counted.problem.lower, counted.problem.upper, strict=True))
+        box = list(zip(counted.lower, counted.upper, strict=True))
         library.Minimizer(
-            counted, box, None, algorithm, budget, lambda _, c=counted: c.hit < budget, 1000 + seed, settings
+            counted.evaluate, box, None, algorithm, budget, lambda _, c=counted: c.hit < budget, 1000 + seed, settings
         ).optimize()
         hits.append(counted.hit)
     return hits
@@ -162,10 +156,10 @@ def test_jade_with_the_arithmetic_mean_of_f_agrees_with_minionpy(function, n, bu
     runs, N = 60, 60
     theirs = minion("JADE", function, n, budget, runs, population_size=N, minimum_population_size=N)
     assert np.median(theirs) < budget
-    lehmer = ours_exactly(JADE(population=N), function, n, budget, runs)
+    lehmer = ours(JADE(population=N), function, n, budget, runs)
     assert not alike(lehmer, theirs)
     monkeypatch.setattr(jade, "lehmer", lambda values, weights: np.average(values, weights=weights))
-    assert alike(ours_exactly(JADE(population=N), function, n, budget, runs), theirs)
+    assert alike(ours(JADE(population=N), function, n, budget, runs), theirs)
 
 
 @pytest.mark.parametrize("function", ["sphere", "rastrigin"])
@@ -193,10 +187,10 @@ def pygmo_pso(function, n, budget, runs):
         def batch_fitness(self, x):
             if counted.hit < budget:
                 raise StopIteration
-            return counted(x.reshape(-1, n))
+            return counted.evaluate(x.reshape(-1, n))
 
         def get_bounds(self):
-            return counted.problem.lower, counted.problem.upper
+            return counted.lower, counted.upper
 
     for seed in range(runs):
         counted = Counted(function, n, budget)
@@ -248,14 +242,24 @@ def test_like_pygmo_without_its_differences_is_pso():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("function", "n", "budget"), [("sphere", 6, 20_000), ("ackley", 4, 20_000)])
-def test_pso_agrees_with_pygmo_but_for_three_differences(function, n, budget):
+@pytest.mark.parametrize(
+    ("function", "n", "budget", "gap"),
+    [
+        ("sphere", 6, 20_000, None),
+        ("ackley", 4, 20_000, None),
+        (10, 5, 60_000, 100.0),  # PSO misses 1e-6 with 200,000, too
+        (15, 3, 20_000, 1e-6),
+        (15, 3, 20_000, 1.5),
+    ],
+)
+def test_pso_agrees_with_pygmo_but_for_three_differences(function, n, budget, gap, monkeypatch):
+    monkeypatch.setitem(GAPS, function, gap)
     runs = 200
     theirs = pygmo_pso(function, n, budget, runs)
     names = ("sticks", "starts", "clamps")
     for chosen in ((), *((name,) for name in names), names[:2], names):
         print("+".join(chosen) or "the standard", end=": ")
-        hits = ours_exactly(LikePygmo(**dict.fromkeys(chosen, True)), function, n, budget, runs)
+        hits = ours(LikePygmo(**dict.fromkeys(chosen, True)), function, n, budget, runs)
         agrees = alike(hits, theirs)
-    assert min(hits) < budget
+    assert np.quantile(hits, 0.25) < budget
     assert agrees
