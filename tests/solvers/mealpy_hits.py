@@ -1,21 +1,23 @@
 """Notes the evaluations to a target of mealpy's JADE and SHADE in mealpy_hits.json, for test_independent.py.
 
-    pip install mealpy==3.0.3 && python tests/solvers/mealpy_hits.py
+    pip install mealpy==3.0.3 coco-experiment==2.8.2 && python tests/solvers/mealpy_hits.py
 
-in an environment of its own (mealpy wants numpy <= 1.26); some minutes. mealpy's SHADE archives the trial vector where
-the paper archives the parent it replaces; this is mended first.
+in an environment of its own (mealpy wants numpy <= 1.26); a quarter of an hour. mealpy's SHADE archives the trial
+vector where the paper archives the parent it replaces; this is mended first.
 """
 
 import inspect
 import json
 import logging
+from functools import partial
 from pathlib import Path
 
 import numpy as np
+from cocoex import BareProblem
 from mealpy import FloatVar
 from mealpy.evolutionary_based import DE, SHADE
 
-RUNS, N, BUDGET = 40, 60, 20_000
+RUNS, N = 60, 60
 
 
 def sphere(z):
@@ -24,6 +26,20 @@ def sphere(z):
 
 def rastrigin(z):
     return float((z * z + 20 * np.sin(np.pi * z) ** 2).sum())
+
+
+def bbob(function, n, instance):
+    """f - f_opt."""
+    problem = BareProblem("bbob", function, n, instance)
+    return lambda x: float(problem(x)) - problem.best_value()
+
+
+TASKS = {  # function, unknowns, half the box, target, budget
+    "sphere": (sphere, 6, 5.12, 1e-8, 20_000),
+    "rastrigin": (rastrigin, 6, 5.12, 1e-6, 20_000),
+    "10": (bbob(10, 5, 12), 5, 5.0, 1e-6, 20_000),
+    "15": (bbob(15, 3, 5), 3, 5.0, 1e-6, 60_000),
+}
 
 
 class Reached(Exception):
@@ -42,7 +58,7 @@ def mended_shade():
     return names["OriginalSHADE"]
 
 
-def hits(make, function, target):
+def hits(make, function, n, half, target, budget):
     for seed in range(RUNS):
         count = 0
 
@@ -54,23 +70,19 @@ def hits(make, function, target):
                 raise Reached
             return value
 
-        box = FloatVar(lb=(-5.12,) * 6, ub=(5.12,) * 6)
+        box = FloatVar(lb=(-half,) * n, ub=(half,) * n)
+        np.random.seed(seed)  # noqa: NPY002 -- mealpy draws F by SciPy, from the global state
+        optimizer = make(epoch=budget // N, pop_size=N, miu_f=0.5, miu_cr=0.5)
         try:
-            make().solve({"obj_func": objective, "bounds": box, "minmax": "min", "log_to": None}, seed=seed)
-            count = BUDGET
+            optimizer.solve({"obj_func": objective, "bounds": box, "minmax": "min", "log_to": None}, seed=seed)
+            count = budget
         except Reached:
             pass
-        yield min(count, BUDGET)
+        yield min(count, budget)
 
 
 if __name__ == "__main__":
     logging.disable(logging.CRITICAL)
-    common = {"epoch": BUDGET // N, "pop_size": N, "miu_f": 0.5, "miu_cr": 0.5}
-    shade = mended_shade()
-    makers = {"jade": lambda: DE.JADE(**common, pt=0.05, ap=0.1), "shade": lambda: shade(**common)}
-    noted = {
-        f"{name} {function.__name__}": list(hits(make, function, target))
-        for name, make in makers.items()
-        for function, target in ((sphere, 1e-8), (rastrigin, 1e-6))
-    }
+    makers = {"jade": partial(DE.JADE, pt=0.05, ap=0.1), "shade": mended_shade()}
+    noted = {f"{name} {task}": list(hits(make, *TASKS[task])) for name, make in makers.items() for task in TASKS}
     (Path(__file__).parent / "mealpy_hits.json").write_text(json.dumps(noted) + "\n")
