@@ -115,6 +115,11 @@ class Archive:
             late = parents[free:]
             self.members[rng.integers(self.size, size=len(late))] = late
 
+    def add_all(self, parents: Population, rng: np.random.Generator) -> None:
+        """All of them; where there are then too many, random members go, these among them."""
+        self.members = np.vstack([self.members, parents])
+        self.resize(self.size, rng)
+
     def resize(self, size: int, rng: np.random.Generator) -> None:
         """Random members go where there are more than ``size``."""
         self.size = size

@@ -60,7 +60,7 @@ class JADE(Solver):
             fu = problem.evaluate(u)
 
             won = fu < f
-            A.add(x[won], rng)
+            A.add_all(x[won], rng)
             x[won], f[won] = u[won], fu[won]
             if won.any():
                 mu_CR = (1 - self.c) * mu_CR + self.c * CR[won].mean()  # eq. 9

@@ -121,6 +121,10 @@ def plain(kind, f, lower, upper, N, max_nfe, rng):
                 M_F[k] = mean_F if kind == "l-shade" else (mean_F + M_F[k]) / 2
             k = (k + 1) % H
         size = round(rate * N)
+        if kind == "jade":
+            archive += [list(x[i]) for i in won]
+            archive = [archive[a] for a in rng.permutation(len(archive))[:size]] if len(archive) > size else archive
+            won = []
         late = [x[i] for i in won][size - len(archive) :] if len(archive) + len(won) > size else []
         archive += [list(x[i]) for i in won][: size - len(archive)]
         for place, parent in zip(rng.integers(size, size=len(late)), late, strict=True):

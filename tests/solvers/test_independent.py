@@ -163,13 +163,6 @@ def test_jade_with_the_arithmetic_mean_of_f_agrees_with_minionpy(function, n, bu
     assert alike(ours(JADE(population=N), function, n, budget, runs), theirs)
 
 
-def add_then_remove(self, parents, rng):
-    """The archive of JADE's authors and of mealpy: what is too much goes at random, even if just added."""
-    both = np.vstack([self.members, parents])
-    self.members = both[rng.permutation(len(both))[: self.size]]
-
-
-@pytest.mark.parametrize("add", [Archive.add, pytest.param(add_then_remove, marks=pytest.mark.slow)])
 @pytest.mark.parametrize(
     ("function", "n", "budget"),
     [
@@ -180,9 +173,13 @@ def add_then_remove(self, parents, rng):
     ],
 )
 @pytest.mark.parametrize(
-    ("solver", "name"),
-    [(JADE(population=60), "jade"), (SHADE(population=60, memory=60), "shade")],
-    ids=["jade", "shade"],
+    ("solver", "name", "add"),
+    [
+        (JADE(population=60), "jade", Archive.add),
+        (SHADE(population=60, memory=60), "shade", Archive.add),
+        pytest.param(SHADE(population=60, memory=60), "shade", Archive.add_all, marks=pytest.mark.slow),
+    ],
+    ids=["jade", "shade", "shade-add-all"],
 )
 def test_jade_and_shade_agree_with_mealpy(solver, name, function, n, budget, add, monkeypatch):
     """mealpy 3.0.3 by Van Thieu & Mirjalili, whose evaluations mealpy_hits.py has noted: it wants an older NumPy."""
@@ -193,11 +190,10 @@ def test_jade_and_shade_agree_with_mealpy(solver, name, function, n, budget, add
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("solver", [JADE(population=60), SHADE(population=60, memory=60)], ids=["jade", "shade"])
-def test_the_rule_for_a_full_archive_matters_a_little(solver, monkeypatch):
-    runs = 200
+def test_the_rule_for_a_full_archive_matters_a_little(monkeypatch):
+    solver, runs = SHADE(population=60, memory=60), 200
     a = ours(solver, "sphere", 6, 20_000, runs)
-    monkeypatch.setattr(Archive, "add", add_then_remove)
+    monkeypatch.setattr(Archive, "add", Archive.add_all)
     b = ours(solver, "sphere", 6, 20_000, runs)
     alike(a, b)
     assert 0.97 < np.median(a) / np.median(b) < 0.995
