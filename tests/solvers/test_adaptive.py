@@ -152,8 +152,8 @@ CASES = {
     "jade": (JADE(), 30, 5, 2900),
     "shade": (SHADE(), 100, 5, 2900),
     "l-shade": (LSHADE(), 54, 5, 2900),
-    "l-shade, with ⊥ kept": (LSHADE(population=8), 8, 6, 1100),
-    "l-shade, with ⊥ overwritten": (LSHADE(population=8, terminal="overwritten"), 8, 6, 1100),
+    "l-shade, with ⊥ kept": (LSHADE(population=8), 8, 6, 900),
+    "l-shade, with ⊥ overwritten": (LSHADE(population=8, terminal="overwritten"), 8, 6, 900),
     "jso": (JSO(), 48, 5, 2900),
 }
 
