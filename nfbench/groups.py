@@ -57,7 +57,9 @@ def members(registry: Registry, table: dict[str, Any]) -> tuple[dict[str, dict[s
     named: list[tuple[str, Any]] = [(f"exclude[{i}]", name) for i, name in enumerate(group.exclude)]
     named += [(f"include[{i}].kind", extra.get("kind")) for i, extra in enumerate(group.include)]
     problems = [
-        (path, f"unknown solver {name!r}{suggest(str(name), known)}") for path, name in named if name not in known
+        (path, "is required" if name is None else f"unknown solver {name!r}{suggest(str(name), known)}")
+        for path, name in named
+        if name not in known
     ]
     found: dict[str, dict[str, Any]] = {}
     left_out = []

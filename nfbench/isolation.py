@@ -182,22 +182,23 @@ class Isolated:
             record, retires = said
             future, each.spec, each.future, each.deadline = each.future, None, None, math.inf
             if retires:
-                self._bury(each)
+                self._remove(each)
             future.set_result(record)
 
-    def _bury(
-        self, each: _Worker, status: Status = Status.CRASHED, message: str = "", runtime_s: float = math.nan
-    ) -> None:
+    def _bury(self, each: _Worker, status: Status, message: str, runtime_s: float = math.nan) -> None:
         """The worker is dead or shall be: its run, if it has one, ends so."""
-        each.process.kill()
-        each.process.join()
-        each.pipe.close()
-        self._workers.remove(each)
+        self._remove(each)
         if not each.ready:
             self._failed_starts += 1
             self._last_words = message
         if each.future and each.spec:
             each.future.set_result(RunRecord(each.spec.run_id, status, message, runtime_s=runtime_s))
+
+    def _remove(self, each: _Worker) -> None:
+        each.process.kill()
+        each.process.join()
+        each.pipe.close()
+        self._workers.remove(each)
 
     def _end_workers(self) -> None:
         for each in self._workers:

@@ -284,6 +284,7 @@ def _explain(name: str, error: ValidationError) -> list[tuple[str, str]]:
         if item["type"] in ("too_long", "too_short"):
             item["msg"] = "a list of another length: " + item["msg"].split("should have ")[1].split(" after")[0]
         expected = item["msg"].removeprefix("Input should be ").removeprefix("a valid ").replace("tuple", "list")
+        expected = expected.replace("dictionary", "table")
         came = list(item["input"]) if isinstance(item["input"], tuple) else item["input"]
         text = str(inner) if inner is not None else f"expected {expected}, got {came!r}"
         problems.setdefault(path, []).append(text)

@@ -164,7 +164,7 @@ class _TooLate(BaseException):
 
 @contextlib.contextmanager
 def _deadline(seconds: float) -> Iterator[None]:
-    """Raises _TooLate in Python code that takes longer. Only a program's main thread can: elsewhere it may."""
+    """Raises _TooLate in Python code that takes longer; only a program's main thread has such a limit."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return

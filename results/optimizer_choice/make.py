@@ -13,6 +13,7 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
+from scipy.stats import binomtest
 
 import nfbench
 from nfbench.figures.style import GREY, WIDTHS, styled
@@ -130,29 +131,29 @@ def interval(cost: np.ndarray, there: np.ndarray) -> tuple[float, float, float]:
     return float(expected(cost, there)), float(low), float(high)
 
 
-def against(own: pd.DataFrame, theirs: pd.DataFrame) -> tuple[float, float]:
-    """The 95 % interval of the ratio of expected evaluations, over the scenes that both have."""
+def cost_ratio(own: pd.DataFrame, theirs: pd.DataFrame, unit: str) -> tuple[float, float]:
+    """The 95 % interval of the ratio of expected evaluations or seconds, over the scenes that both have."""
     both = own.merge(theirs, on="repetition", suffixes=("", "_theirs"))
     index = np.random.default_rng(0).integers(len(both), size=(len(both), RESAMPLES))
-    cost, there = both.evaluations.to_numpy(float)[index], both.there.to_numpy()[index]
-    other, other_there = both.evaluations_theirs.to_numpy(float)[index], both.there_theirs.to_numpy()[index]
-    low, high = np.quantile(expected(cost, there) / expected(other, other_there), [0.025, 0.975], method="nearest")
+    first, second = (
+        expected(both[unit + whose].to_numpy(float)[index], both["there" + whose].to_numpy()[index])
+        for whose in ("", "_theirs")
+    )
+    low, high = np.quantile(first / second, [0.025, 0.975], method="nearest")
     return float(low), float(high)
 
 
 def share(hits: int, n: int) -> str:
     """hits of n with the 95 % interval of Wilson (1927)."""
-    z, p = 1.96, hits / n
-    middle, half = p + z * z / 2 / n, z * np.sqrt(p * (1 - p) / n + z * z / 4 / n / n)
-    low, high = (middle - half) / (1 + z * z / n), (middle + half) / (1 + z * z / n)
-    return f"{p:.0%} ({100 * max(low, 0):.0f} – {100 * min(high, 1):.0f})"
+    low, high = binomtest(hits, n).proportion_ci(method="wilson")
+    return f"{hits / n:.0%} ({100 * low:.0f} – {100 * high:.0f})"
 
 
 # --- tables --------------------------------------------------------------------------------------------------------
 
 
 def tables(folder: Path, shown: int | None) -> str:
-    """For each formulation and budget the solvers, those near the bound in most scenes first."""
+    """For each formulation and budget the solvers, the cheapest first or else those most often near the bound."""
     E = pd.read_csv(folder / "errors.csv")
     summary = pd.read_csv(folder / "summary.csv").set_index("method")
     reached = pd.read_csv(folder / "reached.csv")
@@ -174,19 +175,19 @@ def _table(part: Part, E: pd.DataFrame, summary: pd.DataFrame, reached: pd.DataF
         ok = np.isfinite(error)
         near = error[ok] <= OUTLIER * bound[ok]
         value = float(rms(error[ok]) / rms(bound[ok]))
-        against, low, high = ratio(error, theirs, rms)
+        factor, low, high = ratio(error, theirs, rms)
         told = " **better**" if high < 0.99 else " worse" if low > 1.01 else ""
         failed = f", {summary.failed[name]} failed" if summary.failed[name] else ""
         cells = [
             f"{_solver(name)}{failed}",
             share(int(near.sum()), int(ok.sum())),
             f"{value:.3g}",
-            "the paper's" if name == part.base else f"{against:.2g} ({low:.2g} – {high:.2g}){told}",
+            "the paper's" if name == part.base else f"{factor:.2g} ({low:.2g} – {high:.2g}){told}",
         ]
         cost = math.inf
         if at_full and name in set(reached.method):
-            cost, *told = _cost(reached, name, part.base)
-            cells += told
+            cost, *shown_cost = _cost(reached, name, part.base)
+            cells += shown_cost
         else:
             base = _seconds(reached, part.base) if at_full else summary.runtime_s[part.base]
             cells.append(f"{summary.evaluations[name]:,.0f}" if summary.evaluations[name] else "–")
@@ -205,10 +206,14 @@ def _cost(reached: pd.DataFrame, name: str, base: str) -> tuple[float, str, str]
     cost, low, high = interval(own.evaluations.to_numpy(float), own.there.to_numpy())
     if np.isinf(cost):
         return cost, "never", ""
-    less, more = against(own, theirs)
+    less, more = cost_ratio(own, theirs, "evaluations")
     told = " **fewer**" if more < 0.99 else " more" if less > 1.01 else ""
     shown = f"{cost:,.0f} ({low:,.0f} – {high:,.0f}){told}".replace("inf", "∞")
-    return cost, shown, f"{_seconds(reached, name) / _seconds(reached, base):.2g}"
+    seconds = f"{_seconds(reached, name) / _seconds(reached, base):.2g}"
+    if name != base:
+        less, more = cost_ratio(own, theirs, "seconds")
+        seconds += f" ({less:.2g} – {more:.2g})".replace("inf", "∞")
+    return cost, shown, seconds
 
 
 def _seconds(reached: pd.DataFrame, name: str) -> float:

@@ -123,6 +123,8 @@ def test_the_runs_of_a_group_are_those_of_its_solvers_named_one_by_one(manifest)
             'group = "global"\nexclude = ["scipy-sgho"]',
             "solver[0].exclude[0]: unknown solver 'scipy-sgho'; did you mean \"scipy-shgo\"?",
         ),
+        ('group = "global"\ninclude = ["de"]', "solver[0].include[0]: expected table, got 'de'"),
+        ('group = "global"\ninclude = [{ F = 0.5 }]', "solver[0].include[0].kind: is required"),
         (
             'group = "global"\ninclude = [{ kind = "d" }]',
             "solver[0].include[0].kind: unknown solver 'd'; did you mean \"de\"?",
