@@ -8,26 +8,42 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
-from .budget import Budget, Status
-from .errors import (
+from .core import (
+    AskTell,
+    AskTellSolver,
+    Budget,
     BudgetExhausted,
+    Extra,
+    FilePath,
+    Formulation,
+    Ge,
+    Gt,
     Incompatible,
+    Instance,
     InvalidEvaluation,
+    Le,
+    Lt,
     ManifestError,
+    MeteredProblem,
+    Minimize,
+    Minimum,
     MissingExtra,
     NfbenchError,
+    OneOf,
     OptionError,
+    Options,
     PluginError,
+    Problem,
+    ProblemInstance,
+    Scenario,
+    Solver,
+    SolverInfo,
+    Status,
     StoreError,
+    Trace,
+    Tune,
+    minimize,
 )
-from .formulation import Formulation, Minimize
-from .meter import MeteredProblem
-from .minimize import Minimum, minimize
-from .options import FilePath, Ge, Gt, Le, Lt, OneOf, Options, Tune
-from .problem import Problem
-from .scenario import Extra, Instance, ProblemInstance, Scenario
-from .solver import AskTell, AskTellSolver, Solver, SolverInfo
-from .trace import Trace
 
 __version__ = "0.1.0"
 
@@ -51,6 +67,7 @@ __all__ = [
     "Minimize",
     "Minimum",
     "MissingExtra",
+    "NestedSolver",
     "NfbenchError",
     "OneOf",
     "OptionError",
@@ -67,24 +84,44 @@ __all__ = [
     "Study",
     "Trace",
     "Tune",
+    "combined_info",
+    "compiled",
+    "load_kernels",
     "load_study",
     "minimize",
+    "nested_solver",
     "run",
+    "run_part",
     "solver",
+    "solver_of",
 ]
 
 if TYPE_CHECKING:
-    from .manifest import load_study
-    from .results import Results, run
-    from .study import Study
+    from .core.jit import compiled, load_kernels
+    from .execution import run
+    from .plugins import NestedSolver, combined_info, nested_solver, run_part, solver_of
+    from .results import Results
+    from .study import Study, load_study
 
-_LAZY = {"load_study": "manifest", "Results": "results", "run": "results", "Study": "study"}
+_PACKAGES = {
+    "NestedSolver": "plugins",
+    "Results": "results",
+    "Study": "study",
+    "combined_info": "plugins",
+    "compiled": "core.jit",
+    "load_kernels": "core.jit",
+    "load_study": "study",
+    "nested_solver": "plugins",
+    "run": "execution",
+    "run_part": "plugins",
+    "solver_of": "plugins",
+}
 
 
 def __getattr__(name: str) -> Any:
-    """What brings in pandas comes only when asked for, so that ``import nfbench`` stays quick."""
-    if name in _LAZY:
-        return getattr(importlib.import_module(f".{_LAZY[name]}", __name__), name)
+    """Import what needs pandas, Numba or the registry on first use, so that ``import nfbench`` stays quick."""
+    if name in _PACKAGES:
+        return getattr(importlib.import_module(f".{_PACKAGES[name]}", __name__), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
@@ -93,8 +130,6 @@ def solver(name: str, **options: Any) -> Solver:
 
     Raises PluginError for an unknown name, OptionError for unknown or impossible options.
     """
-    from .registry import Registry
+    from .plugins import Registry
 
-    made = Registry().make("solver", name, options)
-    assert isinstance(made, Solver)
-    return made
+    return Registry().make("solver", name, options)

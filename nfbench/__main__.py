@@ -1,6 +1,6 @@
 """``python -m nfbench`` is the same as ``nfbench``."""
 
-from .cli import main
+from nfbench.cli import main
 
 if __name__ == "__main__":
     main()

@@ -1,1 +1,1 @@
-"""Near-field source localization problems, installed as nfbench.problems."""
+"""Problems: near-field source localization and test functions; installed as nfbench.problems."""

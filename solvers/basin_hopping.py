@@ -12,7 +12,7 @@ from scipy.optimize import Bounds, basinhopping
 
 from nfbench import Ge, Gt, Le, MeteredProblem, Solver, SolverInfo
 
-from .lbfgsb import objective
+from ._lbfgsb import objective
 
 __all__ = ["BasinHopping"]
 

@@ -13,7 +13,7 @@ from numpy import ndarray
 
 from nfbench import AskTellSolver, Ge, Gt, Le, MeteredProblem, SolverInfo, Tune
 
-from .finite import Finite
+from ._finite import Finite
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore")  # pycma warns where matplotlib is not installed

@@ -13,8 +13,7 @@ from jaxtyping import Float, Int
 from numba import types
 from numpy import ndarray
 
-from nfbench import Ge, Le, MeteredProblem, Solver, SolverInfo, Tune
-from nfbench.compiled import compiled, load
+from nfbench import Ge, Le, MeteredProblem, Solver, SolverInfo, Tune, compiled, load_kernels
 
 __all__ = ["DE"]
 
@@ -241,4 +240,4 @@ def _warm_up() -> None:
         (select, (_MATRIX, _VECTOR, _MATRIX, _VECTOR)),
         (make_trials, (*trials, _MATRIX, _MATRIX)),
     ]
-    load(signatures, "compiling differential evolution (once a machine, some 3 s)")
+    load_kernels(signatures, "compiling differential evolution (once a machine, some 3 s)")

@@ -9,7 +9,7 @@ import numpy as np
 
 from nfbench import Ge, Gt, Le, MeteredProblem, Solver, SolverInfo, Tune
 
-from .adaptive import (
+from ._adaptive import (
     Archive,
     best_count,
     binomial,

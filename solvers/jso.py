@@ -12,7 +12,7 @@ from numpy import ndarray
 
 from nfbench import Ge, Gt, Le, MeteredProblem, Solver, SolverInfo
 
-from .adaptive import (
+from ._adaptive import (
     Archive,
     Memory,
     best_count,

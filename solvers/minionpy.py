@@ -9,8 +9,8 @@ import numpy as np
 
 from nfbench import Ge, MeteredProblem, Solver, SolverInfo
 
-from .finite import Finite
-from .wrapped import Stop, from_unit, planned
+from ._finite import Finite
+from ._wrapped import Stop, from_unit, planned
 
 __all__ = ["MinionPy"]
 

@@ -10,7 +10,7 @@ from scipy.optimize import Bounds, minimize
 
 from nfbench import Ge, Gt, Lt, MeteredProblem, Solver, SolverInfo
 
-from .lbfgsb import objective
+from ._lbfgsb import objective
 
 __all__ = ["MultistartLBFGSB"]
 

@@ -14,8 +14,8 @@ import numpy as np
 
 from nfbench import Ge, MeteredProblem, OptionError, Solver, SolverInfo
 
-from .finite import Finite
-from .wrapped import from_unit, global_random, planned
+from ._finite import Finite
+from ._wrapped import from_unit, global_random, planned
 
 __all__ = ["Nevergrad"]
 

@@ -13,7 +13,7 @@ from numpy import ndarray
 
 from nfbench import Ge, Gt, Incompatible, MeteredProblem, Solver, SolverInfo
 
-from .finite import Finite
+from ._finite import Finite
 
 __all__ = [
     "AGS",

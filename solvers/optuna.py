@@ -12,8 +12,8 @@ import numpy as np
 
 from nfbench import Ge, Incompatible, MeteredProblem, Solver, SolverInfo
 
-from .finite import Finite
-from .wrapped import from_unit
+from ._finite import Finite
+from ._wrapped import from_unit
 
 __all__ = ["Optuna"]
 

@@ -7,8 +7,18 @@ from typing import Annotated, ClassVar
 
 import numpy as np
 
-from nfbench import Gt, MeteredProblem, OptionError, Solver, SolverInfo
-from nfbench.inner import InnerSolver, combined, inner, run_part, solver_of
+from nfbench import (
+    Gt,
+    MeteredProblem,
+    NestedSolver,
+    OptionError,
+    Solver,
+    SolverInfo,
+    combined_info,
+    nested_solver,
+    run_part,
+    solver_of,
+)
 
 __all__ = ["Portfolio"]
 
@@ -28,7 +38,9 @@ class Portfolio(Solver):
     weights: of the slices, one for each solver; None: equal ones.
     """
 
-    solvers: tuple[InnerSolver, ...] = field(default_factory=lambda: (inner("cmaes"), inner("scipy-de")))
+    solvers: tuple[NestedSolver, ...] = field(
+        default_factory=lambda: (nested_solver("cmaes"), nested_solver("scipy-de"))
+    )
     weights: tuple[Annotated[float, Gt(0.0)], ...] | None = None
 
     info: ClassVar[SolverInfo] = SolverInfo(
@@ -41,7 +53,7 @@ class Portfolio(Solver):
         if self.weights is not None and len(self.weights) != len(self.solvers):
             text = f"expected {len(self.solvers)} numbers, one for each solver, got {len(self.weights)}"
             raise OptionError("Portfolio", [("weights", text)])
-        object.__setattr__(self, "info", combined(type(self).info, map(solver_of, self.solvers)))
+        object.__setattr__(self, "info", combined_info(type(self).info, map(solver_of, self.solvers)))
 
     def warm_up(self) -> None:
         for named in self.solvers:

@@ -11,8 +11,8 @@ from numpy import ndarray
 
 from nfbench import Ge, Incompatible, MeteredProblem, Solver, SolverInfo
 
-from .finite import Finite
-from .wrapped import from_unit, planned
+from ._finite import Finite
+from ._wrapped import from_unit, planned
 
 __all__ = ["Pygmo"]
 

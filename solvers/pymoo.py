@@ -12,8 +12,8 @@ from numpy import ndarray
 
 from nfbench import Ge, MeteredProblem, Solver, SolverInfo
 
-from .finite import Finite
-from .wrapped import from_unit, global_random
+from ._finite import Finite
+from ._wrapped import from_unit, global_random
 
 __all__ = ["Pymoo"]
 

@@ -7,8 +7,18 @@ from typing import Annotated, ClassVar
 
 import numpy as np
 
-from nfbench import Ge, MeteredProblem, OptionError, Solver, SolverInfo
-from nfbench.inner import InnerSolver, combined, inner, run_part, solver_of
+from nfbench import (
+    Ge,
+    MeteredProblem,
+    NestedSolver,
+    OptionError,
+    Solver,
+    SolverInfo,
+    combined_info,
+    nested_solver,
+    run_part,
+    solver_of,
+)
 
 __all__ = ["Restarts"]
 
@@ -26,7 +36,7 @@ class Restarts(Solver):
         only a solver that ends by itself is started anew.
     """
 
-    solver: InnerSolver = field(default_factory=lambda: inner("cmaes", restarts="none"))
+    solver: NestedSolver = field(default_factory=lambda: nested_solver("cmaes", restarts="none"))
     evaluations: Annotated[int, Ge(1)] | None = None
 
     info: ClassVar[SolverInfo] = SolverInfo(
@@ -38,7 +48,7 @@ class Restarts(Solver):
         if not solver.info.stochastic:
             text = f"expected one that is random, as others repeat themselves, got {self.solver.kind!r}"
             raise OptionError("Restarts", [("solver.kind", text)])
-        object.__setattr__(self, "info", combined(type(self).info, [solver]))
+        object.__setattr__(self, "info", combined_info(type(self).info, [solver]))
 
     def warm_up(self) -> None:
         solver_of(self.solver).warm_up()

@@ -9,7 +9,7 @@ import numpy as np
 
 from nfbench import Ge, MeteredProblem, Solver, SolverInfo, Tune
 
-from .adaptive import (
+from ._adaptive import (
     Archive,
     Memory,
     binomial,

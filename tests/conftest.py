@@ -1,5 +1,8 @@
 """What tests of several folders share."""
 
+import os
+import subprocess
+import sys
 import textwrap
 from pathlib import Path
 
@@ -9,14 +12,24 @@ import pytest
 # array shapes are checked while tests run, where no test feeds wrong shapes on purpose; before these are imported
 jaxtyping.install_import_hook(
     [
-        f"nfbench.problems.{name}"
-        for name in ("bounds", "channels", "enumeration", "floor", "geometry", "refine", "subspace", "wavefronts")
+        f"nfbench.problems.near_field.{name}"
+        for name in (
+            *("bounds", "channels", "enumeration", "floor", "geometry", "subspace", "wavefronts"),
+            "estimators.refinement",
+        )
     ],
     "beartype.beartype",
 )
 
-PLUGINS = Path(__file__).parent / "plugins"
+PLUGINS = Path(__file__).parent / "toy_plugins"
 PROJECT = Path(__file__).parent.parent
+COMMAND_ENVIRONMENT = {**os.environ, "COLUMNS": "120", "NO_COLOR": "1"}
+
+
+def nfbench(*arguments, cwd):
+    """The command line as a user meets it: in a process of its own."""
+    command = [sys.executable, "-m", "nfbench", *map(str, arguments)]
+    return subprocess.run(command, cwd=cwd, capture_output=True, text=True, env=COMMAND_ENVIRONMENT, timeout=120)
 
 
 @pytest.fixture

@@ -10,12 +10,12 @@ from numpy.testing import assert_allclose
 
 import nfbench
 from nfbench import Status, minimize
-from nfbench.problems import neef, nemo
-from nfbench.problems.esf import ESF
-from nfbench.problems.neef import Neef
-from nfbench.problems.nemo import Nemo
-from nfbench.problems.rls import RLS
-from nfbench.problems.scenario import NearField
+from nfbench.problems.near_field.estimators import neef, nemo
+from nfbench.problems.near_field.estimators.neef import Neef
+from nfbench.problems.near_field.estimators.nemo import Nemo
+from nfbench.problems.near_field.objectives.rls import RLS
+from nfbench.problems.near_field.objectives.subspace_fitting import ESF
+from nfbench.problems.near_field.scenario import NearField
 
 sys.path.append(str(Path(__file__).parent / "benchmarks"))
 from numpy_objectives import NumPyESF, NumPyRLS

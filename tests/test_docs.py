@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from conftest import PROJECT
 
-from nfbench.groups import GROUPS
+from nfbench.plugins.groups import GROUPS
 
 PAGES = sorted((PROJECT / "docs").glob("*.md"))
 ELSEWHERE = {"clusters", "solvers"}  # the commands of one need a cluster, the other shows none

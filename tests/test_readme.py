@@ -14,7 +14,7 @@ import pandas as pd
 import pytest
 from conftest import PROJECT
 
-from nfbench.registry import Registry
+from nfbench.plugins.registry import Registry
 
 README = (PROJECT / "README.md").read_text(encoding="utf-8")
 BLOCKS = re.findall(r"```(\w+)\n(.*?)```", README, flags=re.DOTALL)

@@ -15,8 +15,9 @@ from typing import Any, Literal, final
 
 from matplotlib.figure import Figure
 
-from ..errors import NfbenchError
-from ..results import Results
+from nfbench.core import NfbenchError
+from nfbench.results import Results
+
 from .convergence import convergence_figure
 from .data import Wanted, drawn
 from .error import error_figures

@@ -8,10 +8,9 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from numpy import ndarray
 
-from ..budget import Status
-from ..results import Results
-from ..store import Store
-from ..trace import Trace
+from nfbench.core import Status, Trace
+from nfbench.results import Results
+
 from .axes import error_axis, legend_below, new_figure
 from .data import Drawn
 from .error import named
@@ -33,8 +32,7 @@ def convergence_figure(study: Drawn, results: Results, width: str) -> Figure | N
     """
     parts = chosen(study.by(study.swept))
     shown = {run_id for part in parts for run_id in part.runs.loc[part.runs["status"] == Status.OK, "run_id"]}
-    with Store(results.folder) as store:
-        traces = {run_id: found[0] for run_id, found in store.traces() if run_id in shown and found and len(found[0])}
+    traces = {run_id: found[0] for run_id, found in results.run_traces() if run_id in shown and found and len(found[0])}
     if not traces:
         return None
     runs = study.runs[study.runs["run_id"].isin(list(traces))]

@@ -10,13 +10,11 @@ from typing import Any, Literal, TypeAlias, final
 
 import numpy as np
 import pandas as pd
-from numpy import ndarray
-from scipy.special import bdtr
 
-from ..budget import Status
-from ..errors import NfbenchError
-from ..results import Results
-from ..tables import CONFIDENCE, MIN_RUNS, RESAMPLES, default_groups
+from nfbench.analysis import default_groups, mean_interval, median_interval
+from nfbench.core import NfbenchError, Status
+from nfbench.results import Results
+
 from .labels import Places, places
 from .style import Style, styles
 
@@ -123,8 +121,8 @@ def drawn(results: Results, title: bool = True) -> Drawn:
     groups: dict[Any, pd.DataFrame] = dict(list(ok.groupby(by, sort=False)))
     keys = [tuple(row) for row in table[by].itertuples(index=False)]
     for values, column, interval in (
-        (error, _median(error), _median_interval),
-        ("runtime_s", "runtime_s", _mean_interval),
+        (error, _median(error), median_interval),
+        ("runtime_s", "runtime_s", mean_interval),
     ):
         pairs = [interval(groups[key][values].to_numpy()) if key in groups else (math.nan, math.nan) for key in keys]
         table[f"{column}_low"], table[f"{column}_high"] = zip(*pairs, strict=True)
@@ -134,23 +132,3 @@ def drawn(results: Results, title: bool = True) -> Drawn:
 
 def _median(error: str) -> str:
     return "median_m" if error == "rmse_m" else f"{error}_median"
-
-
-def _median_interval(values: ndarray) -> tuple[float, float]:
-    """Of the median, free of any distribution: between two order statistics (David & Nagaraja 2003, § 7.1)."""
-    n = len(values)
-    rank = int(np.sum(bdtr(np.arange(n), n, 0.5) <= (1 - CONFIDENCE) / 2))  # values on either side are left out
-    if rank < 1:
-        return math.nan, math.nan
-    ordered = np.sort(values)
-    return float(ordered[rank - 1]), float(ordered[-rank])
-
-
-def _mean_interval(values: ndarray) -> tuple[float, float]:
-    """Of the mean, by the percentile bootstrap."""
-    if len(values) < MIN_RUNS:
-        return math.nan, math.nan
-    rng = np.random.default_rng(0)
-    means = [rng.choice(values, len(values)).mean() for _ in range(RESAMPLES)]
-    low, high = np.quantile(means, [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2])
-    return float(low), float(high)

@@ -15,13 +15,10 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from numpy import ndarray
 
-from ..budget import Status
-from ..errors import NfbenchError
-from ..frames import cell
-from ..manifest import load_scenarios
-from ..results import Results
-from ..scenario import Scenario
-from ..store import Store
+from nfbench.core import NfbenchError, Scenario, Status
+from nfbench.results import Results, cell
+from nfbench.study import load_scenarios
+
 from .axes import legend_below, new_figure
 from .data import Drawn, key_of
 from .error import named, slug
@@ -66,8 +63,7 @@ def position_figures(
     possible, or gives other instances than the runs had.
     """
     scenarios = {_key(swept.items()): scenario for swept, scenario in load_scenarios(manifest, plugins)}
-    with Store(results.folder) as store:
-        estimates = dict(store.estimates())
+    estimates = dict(results.estimates())
     for part in study.by(study.swept):
         scenario = scenarios.get(_key((key_of(column), value) for column, value in part.where))
         if scenario is None:

@@ -14,11 +14,14 @@ from __future__ import annotations
 
 from .checks import CheckResult, check_names, check_solver, solver_checks
 from .probe import Probe
-from .problem_checks import check_problem, check_scenario, problem_checks, scenario_check_names, scenario_checks
+from .problem_checks import check_problem, problem_checks
+from .scenario_checks import check_scenario, scenario_check_names, scenario_checks
+from .watch import check_jobs, watched_checks
 
 __all__ = [
     "CheckResult",
     "Probe",
+    "check_jobs",
     "check_names",
     "check_problem",
     "check_scenario",
@@ -27,4 +30,5 @@ __all__ = [
     "scenario_check_names",
     "scenario_checks",
     "solver_checks",
+    "watched_checks",
 ]

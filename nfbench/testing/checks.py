@@ -16,12 +16,18 @@ from typing import Any
 
 import numpy as np
 
-from ..budget import Budget, Status
-from ..errors import BudgetExhausted, Incompatible
-from ..meter import MeteredProblem
-from ..minimize import explain
-from ..options import canonical
-from ..solver import Solver, SolverInfo
+from nfbench.core import (
+    Budget,
+    BudgetExhausted,
+    Incompatible,
+    MeteredProblem,
+    Solver,
+    SolverInfo,
+    Status,
+    canonical,
+    explain,
+)
+
 from .probe import Probe
 from .replay import replay, replay_elsewhere, same
 from .subject import DIMENSIONS, Broken, Failed, Outcome, Subject, ended_ok, need

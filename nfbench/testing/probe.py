@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from ..problem import Problem
+from nfbench.core import Problem
 
 __all__ = ["Probe"]
 

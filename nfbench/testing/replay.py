@@ -18,7 +18,8 @@ from typing import Any
 import numpy as np
 from numpy import ndarray
 
-from ..solver import Solver
+from nfbench.core import Solver
+
 from .subject import Subject, ended_ok, need
 
 __all__ = ["Replay", "replay", "replay_elsewhere", "same"]

@@ -11,10 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from ..budget import Budget, Status
-from ..errors import Incompatible
-from ..minimize import Minimum, minimize
-from ..solver import Solver
+from nfbench.core import Budget, Incompatible, Minimum, Solver, Status, minimize
+
 from .probe import Probe
 
 DIMENSIONS = (2, 5, 1, 10, 40)

@@ -10,18 +10,16 @@ from multiprocessing import get_context
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
-from ..errors import NfbenchError, PluginError
-from ..manifest import load_study
-from ..minimize import explain
-from ..registry import CONTRACTS, Registry
-from ..scenario import Scenario
-from ..solver import Solver
+from nfbench.core import NfbenchError, PluginError, Scenario, Solver, explain
+from nfbench.plugins import CONTRACTS, Registry
+from nfbench.study import load_study
+
 from .checks import CheckResult, check_names, solver_checks
-from .problem_checks import scenario_check_names, scenario_checks, solved_by
+from .scenario_checks import scenario_check_names, scenario_checks, solved_by
 
-__all__ = ["Job", "jobs", "watched_checks"]
+__all__ = ["Job", "check_jobs", "watched_checks"]
 
 START_S = 120.0  # for the process to import the plugin, beside what the first check may take
 
@@ -36,7 +34,9 @@ class Job:
     options: dict[str, Any] = field(default_factory=dict)
 
 
-def jobs(kind: str, name: str, plugins: Iterable[Path] = (), options: Mapping[str, Any] | None = None) -> Iterator[Job]:
+def check_jobs(
+    kind: str, name: str, plugins: Iterable[Path] = (), options: Mapping[str, Any] | None = None
+) -> Iterator[Job]:
     """What to check: the plugin of that name, all in that file or, of kind "scenario", the first of that manifest.
 
     Raises PluginError where there is none or it cannot be imported, OptionError where the options do not make it.
@@ -110,11 +110,11 @@ def _serve(pipe: Connection, job: Job, checks: list[str]) -> None:
     try:
         registry = Registry(job.files)
         made = registry.make(job.kind, job.name, job.options)
-        results = (
-            solver_checks(cast(Solver, made), checks)
-            if job.kind == "solver"
-            else scenario_checks(cast(Scenario, made), solved_by(registry, cast(Scenario, made)), checks)
-        )
+        if isinstance(made, Solver):
+            results = solver_checks(made, checks)
+        else:
+            assert isinstance(made, Scenario)
+            results = scenario_checks(made, solved_by(registry, made), checks)
     except Exception as error:
         pipe.send(explain(error))
         return

@@ -16,14 +16,15 @@ import pandas as pd
 from scipy.stats import binomtest
 
 import nfbench
+from nfbench.analysis import bootstrap, percentile_interval, rms
 from nfbench.figures.style import GREY, WIDTHS, styled
-from nfbench.problems.geometry import cartesian
-from nfbench.registry import Registry
+from nfbench.plugins import Registry
+from nfbench.problems.near_field.geometry import cartesian
 
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE.parent / "paper"))
 import make as paper  # noqa: E402
-from ledger import OUTLIER, RESAMPLES, ratio, rms  # noqa: E402
+from ledger import OUTLIER, RESAMPLES, ratio  # noqa: E402
 
 STUDY = HERE.parents[1] / "studies" / "optimizer_choice.toml"
 BEGIN, END = "<!-- table: written by make.py -->", "<!-- end of table -->"
@@ -119,28 +120,27 @@ def errors(estimates: np.ndarray, theta: np.ndarray) -> np.ndarray:
 
 
 def expected(cost: np.ndarray, there: np.ndarray) -> np.ndarray:
-    """What getting there costs, run after run until one does: all costs over the successes; inf: never."""
+    """The expected cost of a success if runs are repeated until one succeeds: all costs over the successes, or inf."""
     with np.errstate(divide="ignore"):
-        return cost.sum(axis=0) / there.sum(axis=0)
+        return cost.sum(axis=-1) / there.sum(axis=-1)
 
 
 def interval(cost: np.ndarray, there: np.ndarray) -> tuple[float, float, float]:
     """``expected`` and its 95 % interval over scenes."""
-    index = np.random.default_rng(0).integers(len(cost), size=(len(cost), RESAMPLES))
-    low, high = np.quantile(expected(cost[index], there[index]), [0.025, 0.975], method="nearest")
-    return float(expected(cost, there)), float(low), float(high)
+    resampled = bootstrap(expected, cost, there, rng=np.random.default_rng(0), resamples=RESAMPLES)
+    return float(expected(cost, there)), *percentile_interval(resampled, "nearest")
 
 
 def cost_ratio(own: pd.DataFrame, theirs: pd.DataFrame, unit: str) -> tuple[float, float]:
     """The 95 % interval of the ratio of expected evaluations or seconds, over the scenes that both have."""
     both = own.merge(theirs, on="repetition", suffixes=("", "_theirs"))
-    index = np.random.default_rng(0).integers(len(both), size=(len(both), RESAMPLES))
-    first, second = (
-        expected(both[unit + whose].to_numpy(float)[index], both["there" + whose].to_numpy()[index])
-        for whose in ("", "_theirs")
-    )
-    low, high = np.quantile(first / second, [0.025, 0.975], method="nearest")
-    return float(low), float(high)
+    samples = [both[name + whose].to_numpy(float) for whose in ("", "_theirs") for name in (unit, "there")]
+
+    def quotient(cost: np.ndarray, there: np.ndarray, cost_theirs: np.ndarray, there_theirs: np.ndarray) -> np.ndarray:
+        return expected(cost, there) / expected(cost_theirs, there_theirs)
+
+    resampled = bootstrap(quotient, *samples, rng=np.random.default_rng(0), resamples=RESAMPLES)
+    return percentile_interval(resampled, "nearest")
 
 
 def share(hits: int, n: int) -> str:

@@ -19,20 +19,18 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from nfbench.analysis import bootstrap, mean, percentile_interval, rms
+
 HERE = Path(__file__).parent
 RESAMPLES = 4000
 OUTLIER = 10.0
 BEGIN, END = "<!-- ledger: written by ledger.py -->", "<!-- end of ledger -->"
 
-Statistic = Callable[[np.ndarray], np.ndarray]  # of errors (scenes, resamples)
-
-
-def rms(errors: np.ndarray) -> np.ndarray:
-    return np.sqrt(np.nanmean(errors**2, axis=0))
+Statistic = Callable[[np.ndarray], np.ndarray]  # over the last axis
 
 
 def median(errors: np.ndarray) -> np.ndarray:
-    return np.nanmedian(errors, axis=0)
+    return np.median(errors, axis=-1)
 
 
 STATISTICS: dict[str, Statistic] = {"RMSE": rms, "median": median}
@@ -82,14 +80,29 @@ def conditions(study: str, keys: list[str]) -> Iterator[tuple[str, pd.DataFrame]
         yield ", ".join(named), scenes
 
 
-def ratio(first: np.ndarray, second: np.ndarray, statistic: Statistic) -> tuple[float, float, float]:
-    """statistic(first)/statistic(second) and its 95 % interval: percentiles over the same resampled scenes of both."""
-    both = np.isfinite(first) & np.isfinite(second)
-    first, second = first[both], second[both]
-    index = np.random.default_rng(0).integers(len(first), size=(len(first), RESAMPLES))
-    resampled = statistic(first[index]) / statistic(second[index])
-    low, high = np.quantile(resampled, [0.025, 0.975])
-    return float(statistic(first[:, None])[0] / statistic(second[:, None])[0]), float(low), float(high)
+def ratio(
+    first: np.ndarray, second: np.ndarray, statistic: Statistic, paired: bool = True
+) -> tuple[float, float, float]:
+    """statistic(first)/statistic(second) and its 95 % interval over scenes, the same ones for both where paired."""
+
+    def quotient(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+        return statistic(first) / statistic(second)
+
+    if paired:
+        both = np.isfinite(first) & np.isfinite(second)
+        first, second = first[both], second[both]
+    else:
+        first, second = first[np.isfinite(first)], second[np.isfinite(second)]
+    return with_interval(quotient, first, second, paired=paired)
+
+
+def with_interval(
+    statistic: Callable[..., np.ndarray], *samples: np.ndarray, paired: bool
+) -> tuple[float, float, float]:
+    """A statistic of samples and its 95 % bootstrap interval."""
+    rng = np.random.default_rng(0)
+    resampled = bootstrap(statistic, *samples, rng=rng, resamples=RESAMPLES, paired=paired)
+    return float(statistic(*samples)), *percentile_interval(resampled)
 
 
 def below(low: float, high: float, limit: float = 1.0) -> bool | None:
@@ -144,19 +157,10 @@ def across(
         for method in methods:
             last, first = (scenes[column == value][method].to_numpy() for value in (end, start))
             for kind in kinds:
-                value, low, high = unpaired(last, first, STATISTICS[kind])
+                value, low, high = ratio(last, first, STATISTICS[kind], paired=False)
                 told = ", ".join(filter(None, [kind, method, condition]))
                 found.append(Evidence(told, value, low, high, judge(low, high)))
     return found
-
-
-def unpaired(first: np.ndarray, second: np.ndarray, statistic: Statistic) -> tuple[float, float, float]:
-    """As ``ratio``, of two sets of scenes that have nothing to do with each other."""
-    first, second = first[np.isfinite(first)], second[np.isfinite(second)]
-    rng = np.random.default_rng(0)
-    a, b = (statistic(e[rng.integers(len(e), size=(len(e), RESAMPLES))]) for e in (first, second))
-    low, high = np.quantile(a / b, [0.025, 0.975])
-    return float(statistic(first[:, None])[0] / statistic(second[:, None])[0]), float(low), float(high)
 
 
 def claims() -> list[Claim]:
@@ -395,49 +399,41 @@ def _unequal(evidence: list[Evidence]) -> list[Evidence]:
 def _grid_mismatch(
     condition: str, scenes: pd.DataFrame, coarse: str, fine: str, m_coarse: str, m_fine: str
 ) -> Iterator[Evidence]:
-    E = scenes[[coarse, fine, m_coarse, m_fine]].dropna().to_numpy()
-    index = np.random.default_rng(0).integers(len(E), size=(len(E), RESAMPLES))
-    for name, statistic in (("RMSE", rms), ("median", median)):
-        one = [float(statistic(E[:, [c]])[0]) for c in range(4)]
-        many = [statistic(E[index, c]) for c in range(4)]
-        value = one[0] / one[1] / (one[2] / one[3])
-        low, high = np.quantile(many[0] / many[1] / (many[2] / many[3]), [0.025, 0.975])
-        yield Evidence(f"{name}, {condition}", value, float(low), float(high), above(low, high))
+    errors = scenes[[coarse, fine, m_coarse, m_fine]].dropna().to_numpy().T
+    for name, statistic in STATISTICS.items():
+        value, low, high = with_interval(_quotient_of_quotients(statistic), *errors, paired=True)
+        yield Evidence(f"{name}, {condition}", value, low, high, above(low, high))
+
+
+def _quotient_of_quotients(statistic: Statistic) -> Callable[..., np.ndarray]:
+    return lambda a, b, c, d: statistic(a) / statistic(b) / (statistic(c) / statistic(d))
 
 
 def _wrong_number(condition: str, scenes: pd.DataFrame) -> Iterator[Evidence]:
     for wrong in (2, 4):
         names = [f"gospa_m: {method}, K = {k}" for method in ("NEEF-DE", "NEMO-DE") for k in (wrong, 3)]
-        E = scenes[names].dropna().to_numpy()
-        index = np.random.default_rng(0).integers(len(E), size=(len(E), RESAMPLES))
-        one = [float(rms(E[:, [c]])[0]) for c in range(4)]
-        many = [rms(E[index, c]) for c in range(4)]
-        low, high = np.quantile(many[0] / many[1] / (many[2] / many[3]), [0.025, 0.975])
-        value = one[0] / one[1] / (one[2] / one[3])
-        yield Evidence(f"K = {wrong} for 3, {condition}", value, float(low), float(high), above(low, high))
+        errors = scenes[names].dropna().to_numpy().T
+        value, low, high = with_interval(_quotient_of_quotients(rms), *errors, paired=True)
+        yield Evidence(f"K = {wrong} for 3, {condition}", value, low, high, above(low, high))
 
 
 def _seconds(first: str, second: str) -> list[Evidence]:
     table = errors("runtime")
-    value, low, high = ratio(
-        table[f"runtime_s: {first}"].to_numpy(), table[f"runtime_s: {second}"].to_numpy(), lambda s: s.mean(axis=0)
-    )
+    value, low, high = ratio(table[f"runtime_s: {first}"].to_numpy(), table[f"runtime_s: {second}"].to_numpy(), mean)
     return [Evidence("seconds, this implementation", value, low, high, below(low, high))]
 
 
 def _exponent(method: str, claimed: float) -> list[Evidence]:
     table = errors("complexity")
-    by_M = {M: group[f"runtime_s: {method}"].to_numpy() for M, group in table.groupby("scenario.array.elements")}
-    M = np.log(np.array(sorted(by_M), dtype=float))
-    rng = np.random.default_rng(0)
-    times = np.array(
-        [np.median(by_M[m][rng.integers(len(by_M[m]), size=(len(by_M[m]), RESAMPLES))], axis=0) for m in sorted(by_M)]
-    )
-    slopes = np.polyfit(M, np.log(times), 1)[0]
-    value = np.polyfit(M, np.log([np.median(by_M[m]) for m in sorted(by_M)]), 1)[0]
-    low, high = np.quantile(slopes, [0.025, 0.975])
+    times = [(M, group[f"runtime_s: {method}"].to_numpy()) for M, group in table.groupby("scenario.array.elements")]
+    M = np.log(np.array([elements for elements, _ in times], dtype=float))
+
+    def exponent(*seconds: np.ndarray) -> np.ndarray:
+        return np.polyfit(M, np.log([median(each) for each in seconds]), 1)[0]
+
+    value, low, high = with_interval(exponent, *(seconds for _, seconds in times), paired=False)
     inside, outside = abs(low - claimed) < 0.25 > abs(high - claimed), high < claimed - 0.25 or low > claimed + 0.25
-    return [Evidence("exponent", float(value), float(low), float(high), True if inside else False if outside else None)]
+    return [Evidence("exponent", value, low, high, True if inside else False if outside else None)]
 
 
 def _refused(study: str, method: str) -> list[Evidence]:

@@ -18,7 +18,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-TOY = Path(__file__).parent.parent / "plugins" / "toy.py"
+TOY = Path(__file__).parent.parent / "toy_plugins" / "toy.py"
 EMPTY = """
 name = "empty"
 repetitions = {runs}

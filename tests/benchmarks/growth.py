@@ -8,12 +8,12 @@ import numpy as np
 from rich.table import Table
 from timing import best_seconds
 
-from nfbench.problems import kernels
-from nfbench.problems.arrays import ULA
-from nfbench.problems.esf import ESF
-from nfbench.problems.rls import RLS
-from nfbench.problems.subspace import compress, signal_subspace
-from nfbench.problems.wavefronts import Manifold
+from nfbench.problems.near_field.arrays import ULA
+from nfbench.problems.near_field.objectives import kernels
+from nfbench.problems.near_field.objectives.rls import RLS
+from nfbench.problems.near_field.objectives.subspace_fitting import ESF
+from nfbench.problems.near_field.subspace import compress, signal_subspace
+from nfbench.problems.near_field.wavefronts import Manifold
 
 LOWER, UPPER = np.array([-1.0, 1.27]), np.array([1.0, 20.16])
 
@@ -43,7 +43,7 @@ def esf(M: int = 128, K: int = 3, p: int = 100) -> Callable[[], object]:
 
 def music(M: int = 128, K: int = 3, p: int = 4096) -> Callable[[], object]:
     manifold, rows, X = manifold_of(M), kernels.pack_rows(compress(signal_subspace(noise(M, 64), K))), points(p)
-    return lambda: kernels.explained(*manifold.packed, rows, X)
+    return lambda: kernels.projected_energy(*manifold.packed, rows, X)
 
 
 def preparation(M: int) -> Callable[[], object]:

@@ -27,17 +27,18 @@ from threadpoolctl import threadpool_limits
 from timing import in_turn, ratio
 
 from nfbench import Budget, MeteredProblem, Minimum, Problem, minimize
-from nfbench.environment import describe_environment
-from nfbench.problems import kernels, neef, nemo
-from nfbench.problems.esf import ESF
-from nfbench.problems.instance import NearFieldInstance
-from nfbench.problems.music import grid_maxima
-from nfbench.problems.neef import Neef
-from nfbench.problems.nemo import Nemo
-from nfbench.problems.rls import RLS
-from nfbench.problems.scenario import NearField
-from nfbench.problems.subspace import compress, signal_subspace
-from nfbench.problems.wavefronts import Manifold
+from nfbench.execution.environment import describe_environment
+from nfbench.problems.near_field.estimators import neef, nemo
+from nfbench.problems.near_field.estimators.music import grid_maxima
+from nfbench.problems.near_field.estimators.neef import Neef
+from nfbench.problems.near_field.estimators.nemo import Nemo
+from nfbench.problems.near_field.instance import NearFieldInstance
+from nfbench.problems.near_field.objectives import kernels
+from nfbench.problems.near_field.objectives.rls import RLS
+from nfbench.problems.near_field.objectives.subspace_fitting import ESF
+from nfbench.problems.near_field.scenario import NearField
+from nfbench.problems.near_field.subspace import compress, signal_subspace
+from nfbench.problems.near_field.wavefronts import Manifold
 from nfbench.solvers.de import DE
 
 BATCH = 100
@@ -218,7 +219,7 @@ def grids(instances: dict[str, NearFieldInstance], shapes: list[tuple[int, ...]]
             return np.stack([axis[i] for axis, i in zip(axes, index, strict=True)], axis=1)
 
         def fast(X: np.ndarray, manifold: Manifold = manifold, rows: np.ndarray = rows) -> np.ndarray:
-            return manifold.elements - kernels.explained(*manifold.packed, rows, X)
+            return manifold.elements - kernels.projected_energy(*manifold.packed, rows, X)
 
         def plain(X: np.ndarray, manifold: Manifold = manifold, U_s: np.ndarray = U_s) -> np.ndarray:
             b = respond(manifold, X) @ U_s.conj()

@@ -17,8 +17,8 @@ from threadpoolctl import threadpool_limits
 from timing import seconds
 
 from nfbench import Budget, MeteredProblem, Problem
-from nfbench.problems.esf import ESF
-from nfbench.problems.subspace import signal_subspace
+from nfbench.problems.near_field.objectives.subspace_fitting import ESF
+from nfbench.problems.near_field.subspace import signal_subspace
 
 ROUNDS = 41
 

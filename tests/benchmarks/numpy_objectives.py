@@ -7,10 +7,10 @@ from numpy import ndarray
 from scipy.linalg import solve_triangular
 
 from nfbench import Problem
-from nfbench.problems.esf import RIDGE
-from nfbench.problems.geometry import directions
-from nfbench.problems.subspace import compress
-from nfbench.problems.wavefronts import Manifold
+from nfbench.problems.near_field.geometry import directions
+from nfbench.problems.near_field.objectives.subspace_fitting import RIDGE
+from nfbench.problems.near_field.subspace import compress
+from nfbench.problems.near_field.wavefronts import Manifold
 
 
 def respond(manifold: Manifold, theta: ndarray) -> ndarray:

@@ -13,7 +13,7 @@ from scipy.optimize import differential_evolution
 from timing import in_turn
 
 from nfbench import Budget, MeteredProblem, Problem, Solver, minimize
-from nfbench.problems.esf import ESF
+from nfbench.problems.near_field.objectives.subspace_fitting import ESF
 from nfbench.solvers.cmaes import CMAES, cma
 from nfbench.solvers.de import DE
 from nfbench.solvers.scipy_de import ScipyDE

@@ -8,9 +8,9 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from nfbench import Budget, ManifestError, MissingExtra, OptionError, load_study, minimize
+from nfbench.plugins.registry import Registry
 from nfbench.problems.bbob import BBOB, MODULES, BBOBProblem
 from nfbench.problems.functions import Direct
-from nfbench.registry import Registry
 from nfbench.solvers.de import DE
 from nfbench.testing import check_scenario
 

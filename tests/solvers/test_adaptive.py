@@ -8,7 +8,7 @@ from bench_problems import Formula, bowl
 from numpy.testing import assert_allclose, assert_array_equal
 
 from nfbench import Budget, OptionError, Status, minimize
-from nfbench.solvers.adaptive import (
+from nfbench.solvers._adaptive import (
     Archive,
     best_count,
     current_to_pbest,

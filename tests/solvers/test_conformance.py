@@ -5,7 +5,7 @@ from importlib.metadata import entry_points
 import pytest
 
 from nfbench import Solver
-from nfbench.options import build, canonical
+from nfbench.core.options import build, canonical
 from nfbench.testing import check_names, solver_checks
 
 SOLVERS = {point.name: point for point in entry_points(group="nfbench.solvers") if not point.load().info.extra}

@@ -10,8 +10,8 @@ import pytest
 
 import nfbench
 from nfbench import MissingExtra, OptionError, Status
+from nfbench.plugins.registry import Registry
 from nfbench.problems.functions import Functions
-from nfbench.registry import Registry
 from nfbench.testing import solver_checks
 
 NAMES = ("fcmaes", "minionpy", "nevergrad", "optuna", "pygmo", "pymoo")

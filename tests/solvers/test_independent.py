@@ -19,7 +19,7 @@ from nfbench import Budget, Problem, minimize
 from nfbench.problems.bbob import BBOBProblem
 from nfbench.problems.functions import Functions
 from nfbench.solvers import jade
-from nfbench.solvers.adaptive import Archive
+from nfbench.solvers._adaptive import Archive
 from nfbench.solvers.de import DE
 from nfbench.solvers.jade import JADE
 from nfbench.solvers.jso import JSO

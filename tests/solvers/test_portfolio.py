@@ -5,10 +5,10 @@ import pytest
 
 import nfbench
 from nfbench import Budget, BudgetExhausted, InvalidEvaluation, ManifestError, MeteredProblem, OptionError, Status
-from nfbench.groups import members
-from nfbench.manifest import load_study
-from nfbench.options import canonical
-from nfbench.registry import Registry
+from nfbench.core.options import canonical
+from nfbench.plugins.groups import members
+from nfbench.plugins.registry import Registry
+from nfbench.study.manifest import load_study
 from nfbench.testing import Probe
 
 DE = {"kind": "de", "population": 10}

@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from nfbench import Status, minimize
 from nfbench.problems.functions import Functions
-from nfbench.solvers.finite import Finite
+from nfbench.solvers._finite import Finite
 from nfbench.solvers.multistart_lbfgsb import MultistartLBFGSB
 from nfbench.solvers.random_search import RandomSearch
 

@@ -9,10 +9,10 @@ from bench_problems import Formula, bowl, ramp, two_valleys
 from numpy.testing import assert_allclose, assert_array_equal
 
 from nfbench import Budget, MeteredProblem, OptionError, Status, minimize
-from nfbench.problems.esf import ESF
 from nfbench.problems.functions import Functions
-from nfbench.problems.scenario import NearField
-from nfbench.problems.subspace import signal_subspace
+from nfbench.problems.near_field.objectives.subspace_fitting import ESF
+from nfbench.problems.near_field.scenario import NearField
+from nfbench.problems.near_field.subspace import signal_subspace
 from nfbench.solvers.basin_hopping import BasinHopping
 from nfbench.solvers.crowding_de import CrowdingDE, compete
 from nfbench.solvers.nlopt_global import MLSLLBFGS, StoGO, StoGORand

@@ -8,7 +8,7 @@ import pytest
 from bench_problems import bowl
 
 from nfbench import Budget, BudgetExhausted, InvalidEvaluation, MeteredProblem
-from nfbench.solvers.wrapped import Stop, from_unit, global_random, planned
+from nfbench.solvers._wrapped import Stop, from_unit, global_random, planned
 
 
 def meter(**budget):

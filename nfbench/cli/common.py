@@ -1,0 +1,55 @@
+"""What several commands share: the application, its arguments, and how it prints."""
+
+from __future__ import annotations
+
+import os
+import tomllib
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+
+__all__ = [
+    "INTERRUPTED",
+    "NOT_ALL_OK",
+    "OK",
+    "USAGE",
+    "Folder",
+    "GivenOptions",
+    "Plugins",
+    "app",
+    "output",
+    "parsed_option",
+    "warn",
+]
+
+app = typer.Typer(no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False)
+
+OK, NOT_ALL_OK, USAGE, INTERRUPTED = 0, 1, 2, 130
+
+Plugins = Annotated[list[Path] | None, typer.Option("--plugin", help="A plugin file; may be given more than once.")]
+GivenOptions = Annotated[list[str] | None, typer.Option("--option", metavar="NAME=VALUE", help="An option of it.")]
+Folder = Annotated[Path, typer.Argument(metavar="DIR", help="A results folder, e.g. results/quickstart.")]
+
+
+def output() -> Console:
+    """Standard output: as wide as the terminal, or wide enough for our tables in a file or pipe."""
+    console = Console(highlight=False)
+    return console if console.is_terminal or "COLUMNS" in os.environ else Console(highlight=False, width=110)
+
+
+def warn(text: str) -> None:
+    """Print a warning on standard error."""
+    Console(stderr=True).print(f"nfbench: {text}", style="yellow", highlight=False, markup=False, soft_wrap=True)
+
+
+def parsed_option(text: str) -> tuple[str, Any]:
+    """``population=50`` as a name and a value, read as in a manifest; what is not valid TOML is text."""
+    name, sign, value = text.partition("=")
+    if not sign or not name:
+        raise typer.BadParameter(f"expected NAME=VALUE, e.g. population=50, got {text!r}", param_hint="--option")
+    try:
+        return name, tomllib.loads(f"value = {value}")["value"]
+    except tomllib.TOMLDecodeError:
+        return name, value

@@ -1,0 +1,156 @@
+"""Progress of a running study: a live view on a terminal, plain lines elsewhere."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections import defaultdict
+from types import TracebackType
+from typing import Self
+
+from rich.console import Console, Group
+from rich.live import Live
+from rich.markup import escape
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.text import Text
+
+from nfbench.core import Status
+from nfbench.study import RunRecord, RunSpec
+
+__all__ = ["Lines", "LiveView", "Quiet"]
+
+LINE_EVERY_S = 10.0
+LEADERS = 3
+STOPPING = "Finishing the runs in flight; Ctrl-C again stops at once."
+
+
+class Quiet:
+    """Says nothing."""
+
+    def begin(self, total: int, done: int) -> None: ...
+
+    def finished(self, spec: RunSpec, record: RunRecord) -> None: ...
+
+    def stopping(self) -> None: ...
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None: ...
+
+
+class _Tally:
+    """Counts what is not ok, and keeps the methods in the order of their mean square error so far."""
+
+    def __init__(self, error: str) -> None:
+        self._error = error
+        self._bad: dict[str, int] = defaultdict(int)
+        self._squares: dict[str, list[float]] = defaultdict(lambda: [0.0, 0.0])
+
+    def add(self, spec: RunSpec, record: RunRecord) -> None:
+        if record.status is not Status.OK:
+            self._bad[record.status] += 1
+        elif not math.isnan(record.scores.get(self._error, math.nan)):
+            square = self._squares[spec.method.label]
+            square[0] += record.scores[self._error] ** 2
+            square[1] += 1
+
+    @property
+    def bad(self) -> str:
+        """``3 failed, 1 timeout``, or nothing."""
+        return ", ".join(f"{count} {status}" for status, count in self._bad.items())
+
+    @property
+    def leaders(self) -> str:
+        """The leading methods, over all scenario points of this session."""
+        means = {method: math.sqrt(total / count) for method, (total, count) in self._squares.items()}
+        best = sorted(means, key=means.__getitem__)[:LEADERS]
+        return ", ".join(f"{method} {means[method]:.3g}" for method in best)
+
+
+class LiveView:
+    """Runs done, rate, time left, failures, and the leading methods so far, for terminals."""
+
+    def __init__(self, console: Console, error: str) -> None:
+        self._bar = Progress(
+            TextColumn("{task.description}"),
+            BarColumn(bar_width=20),
+            MofNCompleteColumn(),
+            TextColumn("{task.fields[rate]}"),
+            TimeElapsedColumn(),
+            TextColumn("left"),
+            TimeRemainingColumn(),
+            console=console,
+        )
+        self._tally = _Tally(error)
+        self._name = error
+        self._note = Text()
+        self._live = Live(Group(self._bar, self._note), console=console, refresh_per_second=4)
+        self._done = 0
+        self._start = time.monotonic()
+
+    def begin(self, total: int, done: int) -> None:
+        self._start = time.monotonic()
+        self._task = self._bar.add_task("runs", total=total, completed=done, rate="")
+
+    def finished(self, spec: RunSpec, record: RunRecord) -> None:
+        self._done += 1
+        self._tally.add(spec, record)
+        rate = f"{self._done / (time.monotonic() - self._start):.3g}/s"
+        self._bar.update(self._task, advance=1, rate=rate)
+        self._note.plain = "\n".join(
+            line
+            for line in (
+                self._tally.leaders and f"leading ({self._name}): {self._tally.leaders}",
+                self._tally.bad and f"not ok: {self._tally.bad}",
+            )
+            if line
+        )
+
+    def stopping(self) -> None:
+        self._bar.update(self._task, description=escape(STOPPING))
+
+    def __enter__(self) -> Self:
+        self._live.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._note.plain = ""
+        self._live.stop()
+
+
+class Lines:
+    """A plain line every ten seconds and at the end, for logs and pipes."""
+
+    def __init__(self, console: Console, error: str) -> None:
+        self._console = console
+        self._tally = _Tally(error)
+        self._start = self._last = time.monotonic()
+        self._total = self._done = self._before = 0
+
+    def begin(self, total: int, done: int) -> None:
+        self._total, self._done, self._before = total, done, done
+        self._start = self._last = time.monotonic()
+        before = f"{done} of {total} runs were done before, " if done else ""
+        self._console.print(f"{before}{total - done} runs to do")
+
+    def finished(self, spec: RunSpec, record: RunRecord) -> None:
+        self._done += 1
+        self._tally.add(spec, record)
+        now = time.monotonic()
+        if now - self._last >= LINE_EVERY_S or self._done == self._total:
+            self._last = now
+            elapsed = now - self._start
+            left = elapsed / (self._done - self._before) * (self._total - self._done)
+            bad = f", not ok: {self._tally.bad}" if self._tally.bad else ""
+            self._console.print(f"{self._done} of {self._total} runs, {elapsed:.0f} s, {left:.0f} s left{bad}")
+
+    def stopping(self) -> None:
+        self._console.print(STOPPING)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None: ...

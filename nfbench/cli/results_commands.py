@@ -1,0 +1,114 @@
+"""The commands that read results folders: ``report``, ``figure``, ``export``, ``compare`` and ``merge``."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from .common import NOT_ALL_OK, OK, Folder, Plugins, app, output, warn
+
+
+class Width(StrEnum):
+    """What a figure fills."""
+
+    SINGLE = "single"
+    DOUBLE = "double"
+
+
+class Metric(StrEnum):
+    """Which error a figure shows."""
+
+    RMSE = "rmse"
+    MEDIAN = "median"
+
+
+class Target(StrEnum):
+    """What ``nfbench export`` can write."""
+
+    IOH = "ioh"
+    CSV = "csv"
+
+
+@app.command()
+def merge(
+    folders: Annotated[list[Path], typer.Argument(metavar="DIR...", help="Folders of one study, e.g. its shards.")],
+    out: Annotated[Path, typer.Option(help="The folder to join them in.")],
+) -> None:
+    """Join the folders of one study, such as its shards, in one; refuses what contradicts."""
+    from nfbench.results import merge as merge_folders
+
+    counts = merge_folders(folders, out).counts
+    total = sum(counts.values())
+    typer.echo(f"{out}: {total - counts.get('open', 0)} of {total} runs, from {len(folders)} folders")
+
+
+@app.command()
+def compare(
+    first: Annotated[Path, typer.Argument(metavar="DIR")], second: Annotated[Path, typer.Argument(metavar="DIR")]
+) -> None:
+    """Say which runs of two folders of one study differ, by how much, and whether it matters."""
+    from nfbench.report import print_comparison
+    from nfbench.results import compare as compare_folders
+
+    found = compare_folders(first, second)
+    print_comparison(found, output())
+    raise typer.Exit(NOT_ALL_OK if found.matters else OK)
+
+
+@app.command()
+def report(folder: Folder) -> None:
+    """Show again what a study found."""
+    from nfbench.report import print_report
+    from nfbench.results import Results
+
+    print_report(Results(folder), output())
+
+
+@app.command()
+def figure(
+    folder: Folder,
+    out: Annotated[Path | None, typer.Option(help="Where the figures go (default: DIR).")] = None,
+    formats: Annotated[str, typer.Option("--format", help="svg, pdf, png, or several with commas.")] = "svg,pdf",
+    width: Annotated[Width, typer.Option(help="Of an IEEE column (3.5 in) or page (7.16 in).")] = Width.SINGLE,
+    metric: Annotated[Metric | None, typer.Option(help="Show one alone (default: both, and outliers).")] = None,
+    title: Annotated[bool, typer.Option(help="The study's title above each figure.")] = True,
+    positions: Annotated[
+        bool | None, typer.Option(help="True and estimated positions (default: where the study is small).")
+    ] = None,
+    traces: Annotated[bool, typer.Option("--traces", help="Objective against evaluations.")] = False,
+    manifest: Annotated[
+        Path | None, typer.Option(help="Where positions' scenario is read (default: DIR/manifest.toml).")
+    ] = None,
+    plugin: Plugins = None,
+) -> None:
+    """Draw a study's figures: error over the sweep, run time against error, positions, convergence."""
+    from nfbench.figures import FORMATS, Drawing, write_figures
+    from nfbench.results import Results
+
+    kinds = list(dict.fromkeys(kind.strip() for kind in formats.split(",")))
+    unknown = [kind for kind in kinds if kind not in FORMATS]
+    if unknown:
+        raise typer.BadParameter(f"expected {', '.join(FORMATS)}, got {unknown[0]!r}", param_hint="--format")
+    how = Drawing(
+        width.value, metric.value if metric else None, title, positions, traces, manifest, tuple(plugin or ())
+    )
+    for path in write_figures(Results(folder), out or folder, kinds, how, warn):
+        typer.echo(path)
+
+
+@app.command()
+def export(
+    folder: Folder,
+    to: Annotated[Target, typer.Option(help="IOHprofiler's data format, or a table.")],
+    out: Annotated[
+        Path | None, typer.Option(metavar="PATH", help="Where to (default: export-ioh/ or traces.csv in DIR).")
+    ] = None,
+) -> None:
+    """Write the traces of a study's runs, objective against evaluations, for other tools."""
+    from nfbench.results import Results, export_csv, export_ioh
+
+    write = {Target.IOH: export_ioh, Target.CSV: export_csv}[to]
+    typer.echo(write(Results(folder), out))

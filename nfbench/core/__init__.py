@@ -1,0 +1,85 @@
+"""The contracts that plugins implement, and what they are made of; nothing here knows of studies or processes."""
+
+from __future__ import annotations
+
+from .budget import Budget
+from .errors import (
+    BudgetExhausted,
+    Incompatible,
+    InvalidEvaluation,
+    ManifestError,
+    MissingExtra,
+    NfbenchError,
+    OptionError,
+    PluginError,
+    StoreError,
+    explain,
+)
+from .formulation import Formulation, Minimize
+from .meter import MeteredProblem
+from .minimization import minimize
+from .minimum import Minimum
+from .options import (
+    FilePath,
+    Ge,
+    Gt,
+    Le,
+    Lt,
+    OneOf,
+    Options,
+    PluginOption,
+    Tune,
+    build,
+    canonical,
+    relative_to,
+    suggest,
+)
+from .problem import Problem
+from .scenario import Extra, Instance, ProblemInstance, Scenario
+from .solver import AskTell, AskTellSolver, Solver, SolverInfo
+from .status import Status
+from .trace import MAX_ROWS, Trace
+
+__all__ = [
+    "MAX_ROWS",
+    "AskTell",
+    "AskTellSolver",
+    "Budget",
+    "BudgetExhausted",
+    "Extra",
+    "FilePath",
+    "Formulation",
+    "Ge",
+    "Gt",
+    "Incompatible",
+    "Instance",
+    "InvalidEvaluation",
+    "Le",
+    "Lt",
+    "ManifestError",
+    "MeteredProblem",
+    "Minimize",
+    "Minimum",
+    "MissingExtra",
+    "NfbenchError",
+    "OneOf",
+    "OptionError",
+    "Options",
+    "PluginError",
+    "PluginOption",
+    "Problem",
+    "ProblemInstance",
+    "Scenario",
+    "Solver",
+    "SolverInfo",
+    "Status",
+    "StoreError",
+    "Trace",
+    "Tune",
+    "build",
+    "canonical",
+    "explain",
+    "minimize",
+    "relative_to",
+    "suggest",
+]

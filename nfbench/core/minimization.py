@@ -1,0 +1,74 @@
+"""Minimizes one problem with one solver: what a study does for each run, and what a notebook needs."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+
+from .budget import Budget
+from .errors import BudgetExhausted, Incompatible, explain
+from .meter import MeteredProblem
+from .minimum import Minimum
+from .problem import Problem
+from .solver import Solver
+from .status import Status
+
+__all__ = ["minimize"]
+
+
+def minimize(problem: Problem, solver: Solver, budget: Budget | int, seed: int | np.random.Generator = 0) -> Minimum:
+    """Minimize ``problem`` with ``solver`` within ``budget`` (a Budget, or a number of evaluations).
+
+    The result is a function of its arguments: ``seed`` seeds the only generator the solver has. What the solver
+    raises becomes the status and message of the result; only a bad argument raises here (ValueError).
+    """
+    budget = Budget(evaluations=budget) if isinstance(budget, int) else budget
+    solver.warm_up()
+    meter = MeteredProblem(problem, budget)
+    start = time.perf_counter()
+    status, message = _drive(solver, meter, np.random.default_rng(seed))
+    runtime_s = time.perf_counter() - start
+    population, values = meter.population, meter.population_values
+    if population is not None and values is not None:
+        order = np.argsort(values, kind="stable")
+        population, values = population[order], values[order]
+    return Minimum(
+        x=np.full(meter.dimension, np.nan) if meter.best_point is None else meter.best_point,
+        value=meter.best_value,
+        evaluations=meter.evaluations,
+        gradients=meter.gradients,
+        nonfinite=meter.nonfinite,
+        runtime_s=runtime_s,
+        status=status,
+        message=message,
+        trace=meter.trace,
+        population=population,
+        population_values=values,
+    )
+
+
+def _drive(solver: Solver, meter: MeteredProblem, rng: np.random.Generator) -> tuple[Status, str]:
+    """Let the solver run; how it ended, and why."""
+    if solver.info.needs_gradient and not meter.has_gradient:
+        return Status.SKIPPED, f"{type(solver).__name__} needs a gradient and the problem has none"
+    try:
+        solver.minimize(meter, rng)
+    except BudgetExhausted:
+        pass
+    except Incompatible as error:
+        return Status.SKIPPED, str(error)
+    except MemoryError:
+        raise  # the run's, not the solver's: it ends as crashed
+    except Exception as error:
+        if meter.fault is None:
+            return Status.FAILED, explain(error)
+    if meter.fault is not None:
+        return Status.INVALID, meter.fault
+    if not meter.evaluations:
+        return Status.FAILED, f"{type(solver).__name__} returned without evaluating a point"
+    if meter.best_point is None:
+        return Status.INVALID, f"none of {meter.evaluations} evaluations gave a finite value"
+    if meter.nonfinite:
+        return Status.OK, f"{meter.nonfinite} of {meter.evaluations} evaluations gave no finite value"
+    return Status.OK, ""

@@ -1,0 +1,29 @@
+"""Runs the plan of a study: here, in worker processes, or on a cluster."""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from .compile_ahead import warm_up
+    from .engine import RunAll, ordered_runner, run_specs
+    from .run_study import Listener, run
+
+__all__ = ["Listener", "RunAll", "ordered_runner", "run", "run_specs", "warm_up"]
+
+_MODULES = {
+    "Listener": "run_study",
+    "RunAll": "engine",
+    "ordered_runner": "engine",
+    "run": "run_study",
+    "run_specs": "engine",
+    "warm_up": "compile_ahead",
+}
+
+
+def __getattr__(name: str) -> Any:
+    """Import on first use: a worker process imports this package, and needs neither the engine nor pandas."""
+    if name in _MODULES:
+        return getattr(importlib.import_module(f".{_MODULES[name]}", __name__), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -1,0 +1,26 @@
+"""Compiles and loads what the runs of a study need, before any clock runs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from nfbench.plugins import Registry
+from nfbench.study import PluginSpec, Study
+
+__all__ = ["warm_up"]
+
+
+def warm_up(study: Study, solvers: Iterable[PluginSpec] | None = None) -> None:
+    """Warm up the scenario and the solvers (default: all of the study) here, where their messages are seen.
+
+    Workers then find what was compiled. Plugins that cannot be imported are left out: their runs fail.
+    """
+    registry = Registry(study.plugins)
+    if solvers is None:
+        solvers = [method.solver for method in study.methods if method.solver]
+    scenario = study.points[0].scenario
+    if not scenario.broken:
+        registry.make("scenario", scenario.kind, scenario.options).warm_up()
+    for solver in {solver.kind: solver for solver in solvers}.values():
+        if not solver.broken:
+            registry.make("solver", solver.kind, solver.options).warm_up()

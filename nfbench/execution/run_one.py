@@ -1,0 +1,105 @@
+"""Runs one spec: plain data in, one record out, whatever happens."""
+
+from __future__ import annotations
+
+import math
+import time
+from typing import Any
+
+import numpy as np
+
+from nfbench.core import MAX_ROWS, Budget, Incompatible, Minimum, NfbenchError, Problem, Status, explain, minimize
+from nfbench.plugins import Registry
+from nfbench.study import PluginSpec, RunRecord, RunSpec
+
+__all__ = ["execute"]
+
+
+def execute(spec: RunSpec, registry: Registry) -> RunRecord:
+    """Draw the instance, solve it, score it. Never raises, but for KeyboardInterrupt."""
+    attempt = _Attempt(spec, registry)
+    try:
+        status, message = attempt.run()
+    except _Ended as ended:
+        status, message = ended.status, str(ended)
+    except Incompatible as error:
+        status, message = Status.SKIPPED, str(error)
+    except NfbenchError as error:
+        status, message = Status.FAILED, str(error)
+    except MemoryError as error:
+        status, message = Status.CRASHED, f"ran out of memory: {explain(error)}"
+    except (Exception, SystemExit) as error:
+        status, message = Status.FAILED, explain(error)
+    minima = attempt.minima
+    return RunRecord(
+        run_id=spec.run_id,
+        status=status,
+        message=message,
+        objective=minima[-1].value if minima else math.nan,
+        evaluations=sum(minimum.evaluations for minimum in minima),
+        runtime_s=attempt.runtime_s,
+        cpu_s=attempt.cpu_s,
+        scores=attempt.scores,
+        estimate=attempt.estimate,
+        traces=tuple(minimum.trace.thinned(max(MAX_ROWS // len(minima), 2)) for minimum in minima),
+    )
+
+
+class _Ended(Exception):
+    """The run ends here, in a status other than ok."""
+
+    def __init__(self, status: Status, message: str) -> None:
+        super().__init__(message)
+        self.status = status
+
+
+class _Attempt:
+    """One run in progress: keeps what it has come to, so that a run that fails half-way still tells."""
+
+    def __init__(self, spec: RunSpec, registry: Registry) -> None:
+        self.spec = spec
+        self.registry = registry
+        self.minima: list[Minimum] = []
+        self.scores: dict[str, float] = {}
+        self.estimate: list[Any] | None = None
+        self.runtime_s = self.cpu_s = math.nan
+
+    def run(self) -> tuple[Status, str]:
+        method = self.spec.method
+        scenario = self.registry.make("scenario", *_available(self.spec.point.scenario))
+        formulation = self.registry.make("formulation", *_available(method.formulation))
+        solver = self.registry.make("solver", *_available(method.solver)) if method.solver else None
+        budget = Budget(**method.budget) if method.budget else None
+        if solver:
+            solver.warm_up()
+        instance = scenario.draw(np.random.default_rng(self.spec.instance_seed))
+
+        def minimize_next(problem: Problem) -> Minimum:
+            if solver is None or budget is None:
+                raise NfbenchError(f"{method.formulation.kind} says it needs no solver, yet asked for one")
+            rng = np.random.default_rng([self.spec.solver_seed, len(self.minima)])
+            self.minima.append(minimize(problem, solver, budget, rng))
+            if self.minima[-1].status is not Status.OK:
+                raise _Ended(self.minima[-1].status, self.minima[-1].message)
+            return self.minima[-1]
+
+        wall, cpu = time.perf_counter(), time.process_time()
+        try:
+            estimate = np.asarray(formulation.solve(instance, minimize_next))
+        finally:
+            self.runtime_s, self.cpu_s = time.perf_counter() - wall, time.process_time() - cpu
+        self.estimate = estimate.tolist()
+        try:
+            self.scores = {name: float(score) for name, score in instance.score(estimate).items()}
+        except ValueError as error:
+            raise _Ended(Status.INVALID, f"estimate: {error}") from error
+        if estimate.size and math.isnan(self.scores.get(scenario.error, math.nan)):
+            raise _Ended(Status.INVALID, f"{scenario.error} of the estimate is not a number")
+        return Status.OK, "; ".join(minimum.message for minimum in self.minima if minimum.message)
+
+
+def _available(spec: PluginSpec) -> tuple[str, dict[str, Any]]:
+    """The name and options of a plugin; the run ends here if it cannot be imported."""
+    if spec.broken:
+        raise _Ended(Status.FAILED, spec.broken)
+    return spec.kind, spec.options

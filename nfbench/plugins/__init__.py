@@ -1,0 +1,23 @@
+"""How plugins are found, grouped, nested in each other, and started from a template."""
+
+from __future__ import annotations
+
+from .groups import GROUPS, members
+from .nested_solvers import NestedSolver, combined_info, nested_solver, run_part, solver_of, versions
+from .registry import CONTRACTS, Plugin, Registry
+from .templates import write_template
+
+__all__ = [
+    "CONTRACTS",
+    "GROUPS",
+    "NestedSolver",
+    "Plugin",
+    "Registry",
+    "combined_info",
+    "members",
+    "nested_solver",
+    "run_part",
+    "solver_of",
+    "versions",
+    "write_template",
+]

@@ -1,0 +1,152 @@
+"""What a study found, for the terminal: a table a scenario point, and a sentence that says no more than it shows."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from nfbench.analysis import default_groups, verdict
+from nfbench.core import Status
+from nfbench.results import Comparison, Results
+
+__all__ = ["number_text", "print_comparison", "print_report", "summary_table"]
+
+SHOWN = 20  # differing rows that are printed
+DISPENSABLE = ("90 %", "runs", "off by", "95 % interval", "evals")  # left out first where a terminal is narrow
+
+
+def print_report(results: Results, console: Console) -> None:
+    """Print the summary, its verdict for each scenario point, and every kind of failure with an example."""
+    meta, runs, summary = results.meta, results.runs, results.summary()
+    if runs.empty:
+        console.print("No run is finished yet.")
+        return
+    if meta["title"]:
+        console.print(f"\n[bold]{escape(meta['title'])}[/bold]")
+    if meta["expect"]:
+        console.print(f"[dim]Expected: {escape(meta['expect'])}[/dim]")
+    left = results.counts.get("open", 0)
+    if left:
+        console.print(f"[yellow]Unfinished: {left} of {left + len(runs)} runs are still to do.[/yellow]")
+    for where, rows, at in _by_point(summary, runs):
+        console.print()
+        console.print(summary_table(where, rows, meta["error"], float(meta["outlier_m"]), console))
+        console.print(escape(verdict(at, meta["error"])))
+    _print_failures(runs, console)
+
+
+def print_comparison(found: Comparison, console: Console) -> None:
+    """Print how two folders differ, the rows that differ most, and what it does to the methods' errors."""
+    console.print(
+        f"{found.equal} runs are identical, {found.rounding} within rounding (1e-9), {len(found.rows)} differ; "
+        f"{found.only_first} are only in the first folder, {found.only_second} only in the second."
+    )
+    if len(found.rows):
+        console.print(_frame(found.rows.sort_values("change", ascending=False).head(SHOWN)))
+        if len(found.rows) > SHOWN:
+            console.print(f"… and {len(found.rows) - SHOWN} more")
+        console.print(_frame(found.methods))
+    if found.matters:
+        console.print("It matters: runs are missing, a status changed, or an error left its 95\u00a0% interval.")
+    else:
+        console.print("It does not matter: every error stays within its 95\u00a0% interval." if len(found.rows) else "")
+
+
+def _frame(frame: pd.DataFrame) -> Table:
+    """A frame whose ``<name>_first``, ``<name>_second`` are shown as one column ``first → second``."""
+    names = list(dict.fromkeys(name.removesuffix("_first").removesuffix("_second") for name in frame.columns))
+    table = Table(box=SIMPLE_HEAD, pad_edge=False)
+    for name in names:
+        table.add_column(name.removeprefix("scenario."), overflow="fold")
+    for row in frame.to_dict("records"):
+        table.add_row(*(escape(_before_after(row, name)) for name in names))
+    return table
+
+
+def _before_after(row: dict[Any, Any], name: str) -> str:
+    sides = [row[key] for key in (name, f"{name}_first", f"{name}_second") if key in row]
+    texts = [number_text(side) if isinstance(side, float) else str(side) for side in sides]
+    return " → ".join(dict.fromkeys(texts))
+
+
+def _by_point(summary: pd.DataFrame, runs: pd.DataFrame) -> Iterator[tuple[str, pd.DataFrame, pd.DataFrame]]:
+    """(name of the point, its rows of the summary, its runs) for each scenario point."""
+    swept = default_groups(runs)[:-3]
+    if not swept:
+        yield "", summary, runs
+        return
+    for key, rows in summary.groupby(swept, sort=False):
+        here = np.logical_and.reduce([runs[name] == value for name, value in zip(swept, key, strict=True)])
+        where = ", ".join(f"{name.removeprefix('scenario.')} = {value}" for name, value in zip(swept, key, strict=True))
+        yield where, rows, runs[here]
+
+
+def summary_table(where: str, rows: pd.DataFrame, error: str, outlier_m: float, console: Console) -> Table:
+    """The rows of one scenario point, best first, with as many columns as the console is wide."""
+    metres = error == "rmse_m"
+    name, unit = ("RMSE", "m") if metres else (f"RMS {error}", "")
+    median, q90 = ("median_m", "q90_m") if metres else (f"{error}_median", f"{error}_q90")
+    columns: dict[str, tuple[str, Callable[[Any], str]]] = {  # heading: (unit, cell of a row)
+        name: (unit, lambda row: number_text(row[error])),
+        "95 % interval": (unit, lambda row: _interval(row[f"{error}_low"], row[f"{error}_high"])),
+        "median": (unit, lambda row: number_text(row[median])),
+        "90 %": (unit, lambda row: number_text(row[q90])),
+        "off by": (f"> {outlier_m:g} m", lambda row: _percent(row["outlier_rate"])),
+        "evals": ("", lambda row: _count(row["evaluations"])),
+        "time": ("s", lambda row: number_text(row["runtime_s"])),
+        "runs": ("", lambda row: str(row["runs"])),
+        "failed": ("", lambda row: f"[red]{row['failed']}[/red]" if row["failed"] else "0"),
+    }
+    if not metres:
+        del columns["off by"]
+    while True:
+        table = _drawn(where, rows.sort_values(error, na_position="last"), columns)
+        narrower = [head for head in DISPENSABLE if head in columns]
+        wanted = console.measure(table, options=console.options.update(max_width=1000)).maximum
+        if wanted <= console.width or not narrower:
+            return table
+        del columns[narrower[0]]
+
+
+def _drawn(where: str, rows: pd.DataFrame, columns: dict[str, tuple[str, Callable[[Any], str]]]) -> Table:
+    table = Table(title=where or None, title_justify="left", title_style="bold", box=SIMPLE_HEAD, pad_edge=False)
+    table.add_column("method\n", overflow="fold")
+    for head, (measure, _) in columns.items():
+        table.add_column(f"{head}\n{measure}", justify="right", no_wrap=True)
+    for row in rows.to_dict("records"):
+        table.add_row(escape(str(row["method"])), *(cell(row) for _, cell in columns.values()))
+    return table
+
+
+def _print_failures(runs: pd.DataFrame, console: Console) -> None:
+    """Each status other than ok, how often and for which method, with one message."""
+    bad = runs[runs["status"] != Status.OK]
+    for (status, method), group in bad.groupby(["status", "method"], sort=False):
+        console.print(f"[red]{status}[/red] × {len(group)}: {escape(str(method))}: {escape(group['message'].iloc[0])}")
+
+
+def number_text(value: float) -> str:
+    """Three significant digits, without the exponent where a reader does better without."""
+    if math.isnan(value):
+        return "–"
+    return f"{value:.3g}" if value == 0 or not 1e-4 <= abs(value) < 1e4 else f"{float(f'{value:.3g}'):.6g}"
+
+
+def _interval(low: float, high: float) -> str:
+    return "" if math.isnan(low) else f"{number_text(low)} – {number_text(high)}"
+
+
+def _percent(share: float) -> str:
+    return "–" if math.isnan(share) else f"{share:.0%}"
+
+
+def _count(value: float) -> str:
+    return "–" if math.isnan(value) else f"{value:,.0f}"

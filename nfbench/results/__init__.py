@@ -1,0 +1,47 @@
+"""Where rows and traces are kept, and how they are read, merged, compared and exported."""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+from .folder import locked, prepare, write_whole
+from .results import Results
+from .store import Store, network_file_system
+
+if TYPE_CHECKING:
+    from .comparison import Comparison, compare
+    from .export import export_csv, export_ioh
+    from .frames import cell
+    from .merging import merge
+
+__all__ = [
+    "Comparison",
+    "Results",
+    "Store",
+    "cell",
+    "compare",
+    "export_csv",
+    "export_ioh",
+    "locked",
+    "merge",
+    "network_file_system",
+    "prepare",
+    "write_whole",
+]
+
+_MODULES = {
+    "Comparison": "comparison",
+    "cell": "frames",
+    "compare": "comparison",
+    "export_csv": "export",
+    "export_ioh": "export",
+    "merge": "merging",
+}
+
+
+def __getattr__(name: str) -> Any:
+    """Import what needs pandas on first use: it is slow to import, and ``nfbench status`` does without it."""
+    if name in _MODULES:
+        return getattr(importlib.import_module(f".{_MODULES[name]}", __name__), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

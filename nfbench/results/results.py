@@ -1,0 +1,141 @@
+"""Reads a study's folder as pandas tables."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from nfbench.core import Trace
+
+from .folder import write_whole
+from .store import ORIGIN_COLUMNS, Store, TracedRun
+
+if TYPE_CHECKING:  # pandas is slow to import, and counting runs does not need it
+    import pandas as pd
+
+__all__ = ["Results"]
+
+
+@dataclass(frozen=True)
+class Results:
+    """A study's folder, read again at every access (also while the study runs).
+
+    Raises StoreError where the folder holds no results.
+    """
+
+    folder: Path
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "folder", Path(self.folder))
+
+    @property
+    def runs(self) -> pd.DataFrame:
+        """One row per finished run, in the study's order; the columns of ``runs.csv``."""
+        from .frames import RunsFrame
+
+        with Store(self.folder) as store:
+            frame = RunsFrame(store.meta.get("name", ""))
+            for row in store.runs():
+                frame.add(*row)
+        return frame.finished()
+
+    @property
+    def origins(self) -> pd.DataFrame:
+        """Where and when each finished run was made: run_id, host, worker (process id), finished."""
+        import pandas as pd
+
+        with Store(self.folder) as store:
+            frame = pd.DataFrame(store.origins(), columns=list(ORIGIN_COLUMNS))
+        return frame.assign(finished=pd.to_datetime(frame["finished"].astype(float), unit="s", utc=True))
+
+    @property
+    def traces(self) -> pd.DataFrame:
+        """Every improvement of every run: run_id, problem (0, 1 … in the run), evaluations, seconds, value, x_0 …"""
+        import pandas as pd
+
+        frames = [
+            pd.DataFrame(
+                {
+                    "run_id": run_id,
+                    "problem": number,
+                    "evaluations": trace.evaluations,
+                    "seconds": trace.seconds,
+                    "value": trace.values,
+                    **{f"x_{j}": column for j, column in enumerate(trace.points.T)},
+                }
+            )
+            for run_id, traces in self.run_traces()
+            for number, trace in enumerate(traces)
+        ]
+        columns = ["run_id", "problem", "evaluations", "seconds", "value"]
+        return pd.concat(frames, ignore_index=True) if frames else pd.DataFrame(columns=columns)
+
+    @property
+    def meta(self) -> dict[str, str]:
+        """Name, seed, shard, title, expectation, error and outlier threshold of the study."""
+        with Store(self.folder) as store:
+            return store.meta
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Runs by status; ``open`` are those without a result yet."""
+        with Store(self.folder) as store:
+            return store.counts()
+
+    @property
+    def failures(self) -> list[tuple[str, str, int, str]]:
+        """(status, method, number of runs, one of their messages) of the runs that are not ok."""
+        with Store(self.folder) as store:
+            return store.failures()
+
+    @property
+    def rate(self) -> float:
+        """Runs finished per second in the last minutes in which any was; 0 where that is unknown."""
+        with Store(self.folder) as store:
+            return store.rate()
+
+    @property
+    def swept_keys(self) -> list[str]:
+        """The keys that the study sweeps, in order."""
+        with Store(self.folder) as store:
+            return store.swept_keys()
+
+    def run_traces(self) -> Iterator[tuple[str, tuple[Trace, ...]]]:
+        """(run_id, traces) of every finished run, in the study's order; one trace per problem that it minimized."""
+        with Store(self.folder) as store:
+            yield from store.traces()
+
+    def traced_runs(self) -> Iterator[TracedRun]:
+        """Every finished run with what it is and its traces, in order, read in pages."""
+        with Store(self.folder) as store:
+            yield from store.traced_runs()
+
+    def estimates(self) -> Iterator[tuple[str, Any]]:
+        """(run_id, estimate as nested lists) of every finished run that has an estimate, in order."""
+        with Store(self.folder) as store:
+            yield from store.estimates()
+
+    def summary(self, by: Sequence[str] | None = None, outlier_m: float | None = None) -> pd.DataFrame:
+        """One row per group of ``by`` (default: swept keys, formulation, solver, method); see ``summarize``."""
+        return self._summary(self.runs, by, outlier_m)
+
+    def write_tables(self) -> None:
+        """Write ``runs.csv`` and ``summary.csv``; each replaces the old one only when it is complete."""
+        runs = self.runs
+        write_whole(self.folder / "runs.csv", lambda path: runs.to_csv(path, index=False))
+        write_whole(self.folder / "summary.csv", lambda path: self._summary(runs).to_csv(path, index=False))
+
+    def has_tables(self) -> bool:
+        """Whether ``runs.csv`` and ``summary.csv`` exist."""
+        return all((self.folder / name).is_file() for name in ("runs.csv", "summary.csv"))
+
+    def _summary(
+        self, runs: pd.DataFrame, by: Sequence[str] | None = None, outlier_m: float | None = None
+    ) -> pd.DataFrame:
+        from nfbench.analysis import summarize
+
+        meta = self.meta
+        outlier_m = float(meta["outlier_m"]) if outlier_m is None else outlier_m
+        return summarize(runs, by, error=meta["error"], outlier_m=outlier_m)

@@ -1,0 +1,180 @@
+"""The methods of a study: formulations combined with solvers, and the pairs that the manifest names itself."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from nfbench.core import Formulation, OptionError, Scenario, Solver, build
+
+from .plan import digest
+from .records import Method
+from .resolve import ErrorCollector, Resolved, Resolver
+from .schema import Limits, Manifest, MethodTable, Table
+
+__all__ = ["study_methods"]
+
+
+def study_methods(manifest: Manifest, resolver: Resolver, scenario: Scenario | None) -> list[Method]:
+    """Every ``[[formulation]]`` with every ``[[solver]]``, then every ``[[method]]``, each with a label of its own."""
+    errors = resolver.errors
+    pairs = _product(manifest, resolver)
+    for i, table in enumerate(manifest.method):
+        pairs += _named_pairs(f"method[{i}]", table, manifest, resolver)
+    if not manifest.formulation and not manifest.method:
+        errors.add("formulation", "expected at least one [[formulation]] or [[method]], got none")
+    elif manifest.solver and not manifest.formulation:
+        errors.add("solver", "a [[solver]] is combined with each [[formulation]], and there is none")
+    for pair in pairs:
+        pair.check(scenario, errors)
+    return _labelled(pairs, resolver)
+
+
+@dataclass
+class _Pair:
+    """A method before its labels are known."""
+
+    path: str
+    formulation: Resolved[Formulation]
+    solver: Resolved[Solver] | None
+    limits: Limits
+    label: str | None = None
+
+    def check(self, scenario: Scenario | None, errors: ErrorCollector) -> None:
+        """Record an error where the formulation does not fit the scenario, or where a solver has no budget."""
+        formulation = self.formulation.made
+        if scenario and formulation and not issubclass(scenario.instance, formulation.accepts):
+            text = f"{self.formulation.spec.kind} solves {formulation.accepts.__name__}, but the scenario draws "
+            errors.add(f"{self.path}.kind", f"{text}{scenario.instance.__name__}")
+        reported = any("budget" in text.partition(":")[0] for text in errors.texts)
+        if self.solver and self.limits.budget() is None and not reported:
+            errors.add("budget", "is required: give evaluations or seconds")
+
+
+def _product(manifest: Manifest, resolver: Resolver) -> list[_Pair]:
+    """Each ``[[formulation]]`` with each ``[[solver]]``; alone where it needs none."""
+    errors = resolver.errors
+    formulations = [
+        (f"formulation[{i}]", resolver.resolve("formulation", _without(table, "budget"), f"formulation[{i}]"))
+        for i, table in enumerate(manifest.formulation)
+    ]
+    limits = [
+        budget_limits(manifest, table.get("budget", {}), f"formulation[{i}].budget", errors)
+        for i, table in enumerate(manifest.formulation)
+    ]
+    _refuse_duplicates(formulations, errors)
+    solvers = _solvers(manifest, resolver)
+    pairs: list[_Pair] = []
+    for (path, formulation), own_limits in zip(formulations, limits, strict=True):
+        if formulation is None:
+            continue
+        if _needs_solver(formulation):
+            if not manifest.solver:
+                errors.add(path, f"{formulation.spec.kind} needs a solver; add a [[solver]]")
+            pairs += [_Pair(path, formulation, solver, own_limits) for solver in solvers]
+        else:
+            pairs.append(_Pair(path, formulation, None, own_limits))
+    return pairs
+
+
+def _solvers(manifest: Manifest, resolver: Resolver) -> list[Resolved[Solver]]:
+    """The solvers named by kind, then those of groups that are not named and in no group before."""
+    named = [
+        (f"solver[{i}]", resolver.resolve("solver", table, f"solver[{i}]"))
+        for i, table in enumerate(manifest.solver)
+        if "group" not in table
+    ]
+    _refuse_duplicates(named, resolver.errors)
+    solvers = [solver for _, solver in named if solver]
+    known = {solver.identity for solver in solvers}
+    for i, table in enumerate(manifest.solver):
+        for member in resolver.resolve_group(table, f"solver[{i}]") if "group" in table else []:
+            if member.identity not in known:
+                known.add(member.identity)
+                solvers.append(member)
+    return solvers
+
+
+def _named_pairs(path: str, table: Table, manifest: Manifest, resolver: Resolver) -> list[_Pair]:
+    """A ``[[method]]`` entry; its formulation and solver are names or tables. One pair, or one for each of a group."""
+    errors = resolver.errors
+    try:
+        method = build(MethodTable, table)
+    except OptionError as error:
+        errors.add_all(path, error)
+        return []
+    limits = budget_limits(manifest, method.budget, f"{path}.budget", errors)
+    formulation = resolver.resolve("formulation", _as_table(method.formulation), f"{path}.formulation")
+    solvers: list[Resolved[Solver] | None] = [None]
+    if isinstance(method.solver, dict) and "group" in method.solver:
+        solvers = [*resolver.resolve_group(method.solver, f"{path}.solver")]
+        if method.label:
+            errors.add(f"{path}.label", f"expected none, as its solver is a group, got {method.label!r}")
+    elif method.solver:
+        solvers = [resolver.resolve("solver", _as_table(method.solver), f"{path}.solver")]
+    if formulation is None or (method.solver and None in solvers):
+        return []
+    if _needs_solver(formulation) != bool(method.solver):
+        needs = "needs a solver, got none" if not method.solver else "needs no solver, got one"
+        errors.add(f"{path}.solver", f"{formulation.spec.kind} {needs}")
+    return [_Pair(path, formulation, solver, limits, method.label) for solver in solvers]
+
+
+def budget_limits(manifest: Manifest, own: Any, path: str, errors: ErrorCollector) -> Limits:
+    """``[budget]``, with what a ``[[formulation]]`` or ``[[method]]`` sets for itself."""
+    if not isinstance(own, dict):
+        errors.add(path, f"expected a table, got {own!r}")
+        own = {}
+    try:
+        return build(Limits, {**manifest.budget, **own})
+    except OptionError as error:
+        errors.add_all(path if own else "budget", error)
+        return Limits()
+
+
+def _without(table: Table, key: str) -> Table:
+    return {name: value for name, value in table.items() if name != key}
+
+
+def _as_table(entry: str | Table) -> Mapping[str, Any]:
+    return {"kind": entry} if isinstance(entry, str) else entry
+
+
+def _needs_solver(formulation: Resolved[Formulation]) -> bool:
+    return formulation.made is None or formulation.made.needs_solver
+
+
+def _refuse_duplicates(
+    entries: Iterable[tuple[str, Resolved[Formulation] | Resolved[Solver] | None]], errors: ErrorCollector
+) -> None:
+    seen: dict[str, str] = {}
+    for path, resolved in entries:
+        if resolved:
+            first = seen.setdefault(resolved.identity, path)
+            if first != path:
+                errors.add(path, f"is the same as {first}")
+
+
+def _labelled(pairs: list[_Pair], resolver: Resolver) -> list[Method]:
+    """The methods, each with a label that no other has."""
+    errors = resolver.errors
+    methods: list[Method] = []
+    seen: dict[str, str] = {}
+    labels: dict[str, str] = {}
+    for pair in pairs:
+        formulation = resolver.labelled("formulation", pair.formulation.spec)
+        solver = resolver.labelled("solver", pair.solver.spec) if pair.solver else None
+        budget = pair.limits.budget() if solver else None
+        first = seen.setdefault(digest([formulation.identity, solver and solver.identity, budget]), pair.path)
+        if first != pair.path:
+            errors.add(pair.path, f"is the same formulation, solver and budget as {first}")
+            continue
+        label = pair.label or (f"{formulation.label} + {solver.label}" if solver else formulation.label)
+        if label in labels and not pair.label and budget:
+            label += f" @{budget['evaluations'] or str(budget['seconds']) + 's'}"
+        if labels.setdefault(label, pair.path) != pair.path:
+            errors.add(f"{pair.path}.label", f"{label!r} is taken by {labels[label]}; give each method its own label")
+        limits = pair.limits
+        methods.append(Method(formulation, solver, budget, label, limits.run_timeout_s, limits.run_memory_mb))
+    return methods

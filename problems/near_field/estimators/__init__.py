@@ -1,0 +1,1 @@
+"""How an instance becomes an estimate: one formulation per file."""

@@ -1,0 +1,119 @@
+"""Grid and refinement: a coarse greedy search of the signal subspace, then a local one over all sources."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Annotated, ClassVar, final
+
+import numpy as np
+from jaxtyping import Complex, Float
+from numpy import ndarray
+
+from nfbench import Formulation, Ge, Gt, Instance, Le, Minimize
+
+from ..enumeration import Criterion, Sources, how_many
+from ..geometry import direction_derivatives
+from ..instance import NearFieldInstance
+from ..objectives import kernels
+from ..objectives.subspace_fitting import ESF
+from ..subspace import compress, signal_subspace
+from ..wavefronts import Manifold, Wavefront
+from .refinement import refine, resolution
+
+__all__ = ["GridRefine", "resolution_grid"]
+
+SAMPLES = 61  # directions along each angle at which the width of a beam is taken
+
+
+@final
+@dataclass(frozen=True)
+class GridRefine(Formulation):
+    """ESF minimized without an optimizer: what a global one has to beat.
+
+    Sources are chosen one by one from a grid as fine as the array resolves, each where the span of all grows most
+    towards the signal subspace (orthogonal least squares; Chen, Billings & Luo 1989), and then refined
+    together by L-BFGS-B. Then, as in alternating projection (Ziskind & Wax 1988), each in turn is chosen anew given the
+    others and all are refined again, until a sweep over the sources gains nothing.
+
+    density: grid points a beamwidth, and a depth of focus. sweeps: how often at most each source is chosen anew.
+    wavefront: what the estimator assumes (default: the scenario's). sources, criterion: how many, as of ``neef``.
+    """
+
+    accepts: ClassVar[type[Instance]] = NearFieldInstance
+    needs_solver: ClassVar[bool] = False
+
+    density: Annotated[float, Gt(0.0), Le(100.0)] = 2.0
+    sweeps: Annotated[int, Ge(0)] = 5
+    wavefront: Wavefront | None = None
+    sources: Sources = "known"
+    criterion: Criterion = "ne"
+
+    def solve(self, instance: NearFieldInstance, minimize: Minimize) -> Float[ndarray, "k d"]:
+        """The sources (K, d) [rad, m]. Raises Incompatible with fewer snapshots than sources."""
+        K = how_many(instance, self.sources, self.criterion)
+        if K == 0:
+            return np.empty((0, instance.manifold.dimension))
+        manifold = instance.manifold.under(self.wavefront)
+        U_s = signal_subspace(instance.Y, K)
+        esf = ESF(U_s, manifold, instance.lower, instance.upper)
+        grid = resolution_grid(manifold, instance.lower, instance.upper, self.density)
+
+        theta = np.empty((0, manifold.dimension))
+        for _ in range(K):
+            theta = np.vstack([theta, grid[np.argmax(_gains(U_s, manifold, theta, grid))]])
+        theta = refine(esf, theta.ravel(), manifold).reshape(K, -1)
+        best = esf.value(theta.ravel())
+        for _ in range(self.sweeps):
+            before = best
+            for k in range(K):
+                others = np.delete(theta, k, axis=0)
+                new = grid[np.argmax(_gains(U_s, manifold, others, grid))]
+                trial = refine(esf, np.insert(others, k, new, axis=0).ravel(), manifold)
+                value = esf.value(trial)
+                if value < best:
+                    theta, best = trial.reshape(K, -1), value
+            if best > before - 1e-9:
+                break
+        return theta
+
+
+def resolution_grid(
+    manifold: Manifold, lower: Float[ndarray, " d"], upper: Float[ndarray, " d"], density: float
+) -> Float[ndarray, "p d"]:
+    """Points of the box so many a beamwidth in each angle and a depth of focus in inverse range, ends included.
+
+    A beam from direction u is λ/E wide in an angle, E the extent of q_m·∂u/∂angle over the array; so along a ULA the
+    points are uniform in sinφ. Elevations are as dense as any azimuth needs, and azimuths as any elevation.
+    """
+    angles = manifold.dimension - 1
+    fine = [np.linspace(low, high, SAMPLES) for low, high in zip(lower[:angles], upper[:angles], strict=True)]
+    directions = np.stack([*np.meshgrid(*fine, indexing="ij"), np.ones([SAMPLES] * angles)], axis=-1)
+    slopes = direction_derivatives(directions.reshape(-1, angles + 1)) @ manifold.positions.T  # q_m·∂u [m/rad]
+    beams = np.ptp(slopes, axis=-1).reshape(*[SAMPLES] * angles, angles) / manifold.wavelength_m  # [1/rad]
+    axes = []
+    for i, axis in enumerate(fine):
+        rate = beams[..., i].max(axis=tuple(j for j in range(angles) if j != i))
+        passed = np.concatenate([[0.0], np.cumsum((rate[1:] + rate[:-1]) / 2 * np.diff(axis))])
+        axes.append(np.interp(_uniform(0.0, passed[-1], density), passed, axis))
+    depth = resolution(manifold)[1]
+    axes.append(1 / (_uniform(1 / upper[-1] / depth, 1 / lower[-1] / depth, density) * depth))
+    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, angles + 1)
+
+
+def _uniform(first: float, last: float, density: float) -> Float[ndarray, " n"]:
+    return np.linspace(first, last, max(math.ceil((last - first) * density), 1) + 1)
+
+
+def _gains(
+    U_s: Complex[ndarray, "m k"], manifold: Manifold, theta: Float[ndarray, "j d"], grid: Float[ndarray, "p d"]
+) -> Float[ndarray, " p"]:
+    """By how much each point of a grid would lower ESF beside sources ``theta``: ‖U_sᴴP⊥a‖²/‖P⊥a‖²."""
+    M = manifold.elements
+    if not len(theta):
+        return kernels.projected_energy(*manifold.packed, kernels.pack_rows(compress(U_s)), grid) / M
+    Q = np.linalg.qr(manifold.response(theta).T).Q
+    rest = U_s - Q @ (Q.conj().T @ U_s)
+    gained = kernels.projected_energy(*manifold.packed, kernels.pack_rows(compress(rest)), grid)
+    left = M - kernels.projected_energy(*manifold.packed, kernels.pack_rows(compress(Q)), grid)
+    return np.where(left > 1e-6 * M, gained / np.maximum(left, 1e-6 * M), 0.0)

@@ -1,0 +1,95 @@
+"""RLS: how much of the data one source does not explain, the objective of NEMO."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import final
+
+import numpy as np
+from jaxtyping import Complex, Float
+from numpy import ndarray
+
+from nfbench import Problem
+
+from ..objectives import kernels
+from ..subspace import compress
+from ..wavefronts import Manifold
+
+__all__ = ["RLS", "deflate"]
+
+
+@final
+class RLS(Problem):
+    """J(θ) = ‖(I − P_a)Y‖²_F + Σ_i α·max(0, δ_min − ‖θ − θ_i‖), n = 2, or 3 with elevation.
+
+    The first term is the residual of the least-squares fit of one source, as in CLEAN (Högbom 1974) and matching
+    pursuit (Mallat & Zhang 1993, doi:10.1109/78.258082). The second pushes away from sources found before; its norm
+    takes radians and metres alike (1 rad, 1 m). Beware: at the paper's α = 1000, δ_min = 0.08 it is at most 80, while
+    ‖Y‖² is about 10⁶, so it decides nothing; ``alpha_relative`` is felt at any SNR.
+
+    Y: (M, T) data, or any factor of it. lower, upper: (d,) the box of one source [rad, m]. detected: (k, d) the θ_i.
+    alpha_relative: where given, α in units of ‖Y‖²/M. Raises ValueError where shapes differ or Y is not finite.
+    """
+
+    has_gradient = True
+
+    def __init__(
+        self,
+        Y: Complex[ndarray, "m t"],
+        manifold: Manifold,
+        lower: Float[ndarray, " d"],
+        upper: Float[ndarray, " d"],
+        *,
+        detected: Float[ndarray, "k d"] | None = None,
+        alpha: float = 1000.0,
+        delta_min: float = 0.08,
+        alpha_relative: float | None = None,
+    ) -> None:
+        if Y.ndim != 2 or len(Y) != manifold.elements:
+            raise ValueError(f"Y: expected shape ({manifold.elements}, T), got {Y.shape}")
+        if not np.isfinite(Y).all():
+            raise ValueError("Y: expected finite data, got NaN or infinite entries")
+        if lower.shape != (manifold.dimension,) or upper.shape != lower.shape:
+            raise ValueError(f"lower, upper: expected shape ({manifold.dimension},), got {lower.shape}, {upper.shape}")
+        self.lower, self.upper = lower, upper
+        self._manifold = manifold
+        kernels.warm_up()
+        factor = *manifold.packed, kernels.pack_rows(compress(Y))
+        self._explained = partial(kernels.projected_energy, *factor)  # ‖aᴴL‖² of points
+        self._explained_one = partial(kernels.projected_energy_one, *factor)  # and of one
+        self._explained_and_gradient = partial(kernels.projected_energy_and_gradient, *factor)
+        self._energy = float(np.vdot(Y, Y).real)
+        self._detected = np.empty((0, manifold.dimension)) if detected is None else detected
+        self._alpha = alpha if alpha_relative is None else alpha_relative * self._energy / manifold.elements
+        self._delta_min = delta_min
+        cone = self._detected, float(self._alpha), float(delta_min)
+        self._repulsion = partial(kernels.repulsion, *cone)
+        self._repulsion_one = partial(kernels.repulsion_one, *cone)
+
+    def evaluate(self, X: Float[ndarray, "p n"]) -> Float[ndarray, " p"]:
+        residual = np.maximum(self._energy - self._explained(X) / self._manifold.elements, 0.0)
+        return residual + self._repulsion(X) if len(self._detected) else residual
+
+    def value(self, x: Float[ndarray, " n"]) -> float:
+        residual: float = max(self._energy - self._explained_one(x) / self._manifold.elements, 0.0)
+        return residual + self._repulsion_one(x) if len(self._detected) else residual
+
+    def value_and_gradient(self, x: Float[ndarray, " n"]) -> tuple[float, Float[ndarray, " n"]]:
+        """The value and the gradient; of the repulsion a subgradient, zero where it has a kink."""
+        M = self._manifold.elements
+        explained, slope = self._explained_and_gradient(x)
+        gradient: Float[ndarray, " n"] = -slope / M
+        value = max(self._energy - explained / M, 0.0)
+        if not len(self._detected):
+            return value, gradient
+        away = x - self._detected
+        distance = np.linalg.norm(away, axis=1)
+        near = (distance > 0) & (distance < self._delta_min)
+        gradient -= self._alpha * np.sum(away[near] / distance[near, None], axis=0)
+        return value + self._repulsion_one(x), gradient
+
+
+def deflate(Y: Complex[ndarray, "m t"], a: Complex[ndarray, " m"]) -> Complex[ndarray, "m t"]:
+    """(I − P_a)Y: the data, or a factor of them, without what a source of response ``a`` explains."""
+    s = a.conj() @ Y / np.vdot(a, a).real  # ŝᵀ = aᴴY/aᴴa
+    return Y - np.outer(a, s)

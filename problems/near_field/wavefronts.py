@@ -1,0 +1,110 @@
+"""Response vectors of an array for four models of the wavefront, and their derivatives.
+
+Every model says by how much nearer than the origin a source is to an element: the advance f = r − d_m as a function of
+s = u·q_m, r and w = ‖q_m‖², all in metres. Then a_m = exp(j·2π/λ·f), computed in ``kernels``.
+
+    exact     f = (2rs − w)/(r + d_m), d_m = √(r² − 2rs + w): without the cancellation of nearly equal lengths
+    fresnel   f = s − (w − s²)/2r
+    paper     f = s − w/2r, without the cos²φ factor
+    planar    f = s
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Literal, TypeAlias
+
+import numpy as np
+from jaxtyping import Complex, Float
+from numpy import ndarray
+from numpy.typing import NDArray
+
+from .geometry import direction_derivatives, directions
+from .objectives import kernels
+
+__all__ = ["Manifold", "Wavefront"]
+
+Wavefront: TypeAlias = Literal["exact", "fresnel", "paper", "planar"]
+
+_Real: TypeAlias = NDArray[np.float64]
+
+
+def _slopes(wavefront: Wavefront, s: _Real, r: _Real, w: _Real) -> tuple[_Real, _Real]:
+    """The slopes ∂f/∂s and ∂f/∂r of the advance; s (p, M), r (p, 1), w (M,)."""
+    match wavefront:
+        case "exact":  # ∂f/∂r = 1 − (r − s)/d, again without cancellation
+            numerator = 2 * r * s - w
+            d = np.sqrt(np.maximum(r * r - numerator, np.finfo(np.float64).tiny))  # where a source meets an element
+            return r / d, (w - s * numerator / (r + d)) / ((r + d) * d)
+        case "fresnel":
+            return 1 + s / r, (w - s * s) / (2 * r * r)
+        case "paper":
+            return np.ones_like(s), np.broadcast_to(w / (2 * r * r), s.shape)
+        case "planar":
+            return np.ones_like(s), np.zeros_like(s)
+
+
+@dataclass(frozen=True, eq=False)
+class Manifold:
+    """The response vectors a(θ), |a_m| = 1, of an array.
+
+    positions: (M, 3) element positions relative to the origin [m]. wavelength_m: λ [m]. has_elevation: sources are
+    ``[azimuth, elevation, range]`` rather than ``[azimuth, range]`` [rad, m].
+    """
+
+    positions: Float[ndarray, "m 3"]
+    wavelength_m: float
+    wavefront: Wavefront
+    has_elevation: bool
+
+    @property
+    def elements(self) -> int:
+        """The number M of antennas."""
+        return len(self.positions)
+
+    @property
+    def dimension(self) -> int:
+        """The number d of unknowns of one source: 2, or 3 with elevation."""
+        return 3 if self.has_elevation else 2
+
+    def under(self, wavefront: Wavefront | None) -> Manifold:
+        """The same array under another model of the wavefront; None keeps the one it has."""
+        return self if wavefront in (None, self.wavefront) else replace(self, wavefront=wavefront)
+
+    def response(self, theta: Float[ndarray, "*p d"]) -> Complex[ndarray, "*p m"]:
+        """The response vectors of sources ``theta``, one a row [rad, m]."""
+        A = kernels.responses(*self.packed, np.asarray(theta, dtype=np.float64).reshape(-1, self.dimension))
+        return A.reshape(*np.shape(theta)[:-1], self.elements)
+
+    def response_and_derivatives(
+        self, theta: Float[ndarray, "p d"]
+    ) -> tuple[Complex[ndarray, "p m"], Complex[ndarray, "p d m"]]:
+        """The response vectors and ∂a/∂θ_i, i in the order of ``theta`` [1/rad, 1/m]."""
+        a, s = self.response(theta), directions(theta) @ self._columns
+        by_s, by_r = _slopes(self.wavefront, s, theta[:, -1:], self._squares)
+        slopes = np.empty((*theta.shape, self.elements))
+        slopes[:, :-1] = by_s[:, None] * (direction_derivatives(theta) @ self._columns)
+        slopes[:, -1] = by_r
+        return a, (1j * self._wavenumber) * slopes * a[:, None]
+
+    @cached_property
+    def packed(self) -> tuple[float, int, Float[ndarray, "4 padded"], int]:
+        """The same for the kernels: λ, the wavefront's number, the geometry, M."""
+        kernels.warm_up()
+        geometry = kernels.pack_geometry(self.positions, self.wavelength_m)
+        return float(self.wavelength_m), kernels.WAVEFRONTS[self.wavefront], geometry, self.elements
+
+    @cached_property
+    def _wavenumber(self) -> float:
+        return 2 * math.pi / self.wavelength_m
+
+    @cached_property
+    def _columns(self) -> ndarray:
+        return np.ascontiguousarray(self.positions.T)
+
+    @cached_property
+    def _squares(self) -> ndarray:
+        squares: ndarray = np.sum(self.positions**2, axis=1)
+        return squares

@@ -1,0 +1,112 @@
+"""The command line as a user meets it: in a process of its own."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pandas as pd
+import pytest
+from conftest import BASIC, COMMAND_ENVIRONMENT, nfbench
+
+
+def test_run_ends_with_a_table_a_sentence_and_the_paths(manifest, tmp_path):
+    done = nfbench("run", manifest(BASIC, repetitions=8), "--jobs", 1, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "8 of 8 runs" in done.stdout
+    assert "once + sampler has the smallest error here" in done.stdout
+    assert "Written to results/toy/: runs.csv, summary.csv" in done.stdout
+    assert len(pd.read_csv(tmp_path / "results" / "toy" / "runs.csv")) == 8
+    assert "8 of 8 runs done" in nfbench("status", "results/toy", cwd=tmp_path).stdout
+    assert "once + sampler has the smallest" in nfbench("report", "results/toy", cwd=tmp_path).stdout
+    quiet = nfbench("run", manifest(BASIC, repetitions=8), "--quiet", cwd=tmp_path)
+    assert (quiet.returncode, quiet.stdout, quiet.stderr) == (0, "", "")
+
+
+def test_some_runs_not_ok_is_exit_code_1_and_told(manifest, tmp_path):
+    done = nfbench("run", manifest(BASIC + '[[solver]]\nkind = "raises"\n'), "--jobs", 1, cwd=tmp_path)
+    assert done.returncode == 1
+    assert "failed × 3: once + raises: RuntimeError: out of luck" in done.stdout
+    assert "Traceback" not in done.stdout + done.stderr
+
+
+BROKEN = [
+    "",
+    "name = ",
+    'name = "a"',
+    BASIC.replace("once", "onec"),
+    BASIC.replace("= 40", "= 0"),
+    BASIC.replace("[budget]", "[bugdet]"),
+    BASIC + "[sweep]\ndimension = []\n",
+    BASIC + '[[solver]]\nkind = "sampler"\n',
+    BASIC.replace('"sampler"', '"sampler"\nbatch = "many"'),
+    BASIC + '[[method]]\nformulation = "oracle"\nsolver = "sampler"\n',
+]
+
+
+@pytest.mark.parametrize("number", range(len(BROKEN)))
+def test_a_broken_manifest_is_exit_code_2_with_no_folder_and_no_traceback(number, manifest, tmp_path):
+    path = manifest(BROKEN[number]) if number > 2 else tmp_path / "broken.toml"
+    if number <= 2:
+        path.write_text(BROKEN[number])
+    before = set(tmp_path.iterdir())
+    done = nfbench("run", path, cwd=tmp_path)
+    assert done.returncode == 2 and done.stdout == ""
+    assert done.stderr.startswith(f"nfbench: {path}:\n  ") and "Traceback" not in done.stderr
+    assert set(tmp_path.iterdir()) == before
+
+
+@pytest.mark.parametrize(
+    "arguments", [["run"], ["run", "no.toml"], ["lst"], ["show", "solver", "dee"], ["status", "no"]]
+)
+def test_wrong_usage_is_exit_code_2(arguments, tmp_path):
+    done = nfbench(*arguments, cwd=tmp_path)
+    assert done.returncode == 2 and done.stderr and "Traceback" not in done.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_list_and_show_tell_what_there_is(tmp_path, toy_plugin):
+    listed = nfbench("list", cwd=tmp_path).stdout
+    assert all(name in listed for name in ("near-field", "functions", "nemo", "neef", "de", "Storn"))
+    assert "near-field" not in nfbench("list", "solvers", cwd=tmp_path).stdout
+    shown = nfbench("show", "solver", "sampler", "--plugin", toy_plugin, cwd=tmp_path).stdout
+    assert "Uniform samples in batches." in shown and "int >= 1" in shown
+
+
+def test_a_plugin_that_fails_is_listed_with_its_error(tmp_path):
+    (tmp_path / "bad.py").write_text("def broken(:")
+    listed = nfbench("list", "solvers", "--plugin", "bad.py", cwd=tmp_path)
+    assert "bad.py is left out: SyntaxError" in listed.stdout and listed.returncode == 0
+
+
+def test_ctrl_c_is_exit_code_130_and_the_folder_resumes(manifest, tmp_path):
+    slow = manifest(BASIC + '[[solver]]\nkind = "sleeps"\n', repetitions=1)
+    command = [sys.executable, "-m", "nfbench", "run", str(slow), "--jobs", "1"]
+    process = subprocess.Popen(
+        command,
+        cwd=tmp_path,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=COMMAND_ENVIRONMENT,
+        start_new_session=True,
+    )
+    rows = tmp_path / "results" / "toy" / "runs.sqlite"
+    deadline = time.monotonic() + 60
+    while time.monotonic() < deadline and "ok 1" not in nfbench("status", "results/toy", cwd=tmp_path).stdout:
+        time.sleep(0.2)
+    os.killpg(process.pid, signal.SIGINT)
+    time.sleep(1)
+    assert process.poll() is None  # the run in flight goes on
+    os.killpg(process.pid, signal.SIGINT)
+    output, errors = process.communicate(timeout=30)
+    assert process.returncode == 130, errors
+    assert (
+        "Ctrl-C again stops at once" in output
+        and "Interrupted with 1 runs to do" in output
+        and "Traceback" not in errors
+    )
+    assert rows.is_file()
+    again = nfbench("run", manifest(BASIC, repetitions=1), cwd=tmp_path)
+    assert again.returncode == 0

@@ -1,0 +1,224 @@
+"""The meter counts every evaluation, never makes one beyond the budget, and keeps the best point."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from nfbench import Budget, BudgetExhausted, Incompatible, InvalidEvaluation, MeteredProblem, OptionError, Problem
+from nfbench.core.trace import MAX_ROWS
+
+
+class Counted(Problem):
+    """Values handed out in order of evaluation, with a counter of its own."""
+
+    def __init__(self, values=None, n=2):
+        self.lower, self.upper = np.full(n, -1.0), np.full(n, 1.0)
+        self.values, self.count = values, 0
+
+    def evaluate(self, X):
+        start, self.count = self.count, self.count + len(X)
+        return (X**2).sum(axis=1) if self.values is None else np.array(self.values[start : self.count], dtype=float)
+
+
+def metered(values=None, n=2, **budget):
+    problem = Counted(values, n)
+    return problem, MeteredProblem(problem, Budget(**(budget or {"evaluations": 1000})))
+
+
+def test_a_batch_across_the_budget_is_cut_and_evaluated_up_to_it():
+    problem, meter = metered(values=[5.0, 4.0, 3.0, 2.0, 1.0], evaluations=4)
+    meter.evaluate(np.zeros((3, 2)))
+    assert meter.remaining == 1
+    with pytest.raises(BudgetExhausted):
+        meter.evaluate(np.zeros((2, 2)))
+    assert problem.count == meter.evaluations == 4
+    assert meter.best_value == 2.0
+    for ask in (lambda: meter(np.zeros(2)), lambda: meter.evaluate(np.zeros((1, 2)))):
+        with pytest.raises(BudgetExhausted):
+            ask()
+    assert problem.count == 4
+
+
+def test_a_batch_that_just_fits_is_returned_and_the_next_call_ends():
+    problem, meter = metered(evaluations=3)
+    assert len(meter.evaluate(np.zeros((3, 2)))) == 3
+    with pytest.raises(BudgetExhausted):
+        meter(np.zeros(2))
+    assert problem.count == 3
+
+
+@given(st.lists(st.lists(st.floats(-1, 1), max_size=7), max_size=12), st.integers(1, 30))
+def test_count_and_best_equal_a_plain_account(batches, limit):
+    problem, meter = metered(n=1, evaluations=limit)
+    asked = []
+    try:
+        for batch in batches:
+            asked += batch
+            meter.evaluate(np.array(batch).reshape(-1, 1))
+    except BudgetExhausted:
+        pass
+    done = asked[:limit]
+    assert meter.evaluations == problem.count == len(done)
+    assert meter.best_value == (min(x * x for x in done) if done else math.inf)
+    values, best = meter.trace.values, math.inf
+    assert list(values) == sorted(values, reverse=True)
+    improvements = [(i, best := x * x) for i, x in enumerate(done, 1) if x * x < best]
+    rows = list(zip(meter.trace.evaluations, values, strict=True))
+    assert rows[: len(improvements)] == improvements
+    assert not done or rows[-1][0] == len(done)
+
+
+@given(st.lists(st.floats(-1, 1), min_size=1, max_size=20), st.integers(1, 20))
+def test_batches_and_single_points_give_one_trace(points, size):
+    _, single = metered(n=1)
+    _, batched = metered(n=1)
+    for x in points:
+        single(np.array([x]))
+    for start in range(0, len(points), size):
+        batched.evaluate(np.array(points[start : start + size]).reshape(-1, 1))
+    for name in ("evaluations", "values", "points"):
+        np.testing.assert_array_equal(getattr(single.trace, name), getattr(batched.trace, name))
+
+
+def test_the_trace_stays_under_a_thousand_rows_with_the_first_and_the_last():
+    values = [1e6 / (i + 1) for i in range(20_000)] + [1e9]
+    _, meter = metered(values=values, evaluations=30_000)
+    for start in range(0, len(values), 97):
+        meter.evaluate(np.zeros((len(values[start : start + 97]), 2)))
+    trace = meter.trace
+    assert 300 < len(trace) <= MAX_ROWS < 1000
+    assert (trace.evaluations[0], trace.values[0]) == (1, 1e6)
+    assert (trace.evaluations[-1], trace.values[-1]) == (20_001, 1e6 / 20_000)
+    assert (np.diff(trace.evaluations) > 0).all()
+    thin = trace.thinned(10)
+    assert len(thin) == 10 and thin.evaluations[0] == 1 and thin.evaluations[-1] == 20_001
+
+
+def test_the_best_point_is_a_copy_that_the_solver_cannot_change():
+    _, meter = metered()
+    x = np.array([0.5, 0.0])
+    meter(x)
+    x[:] = 0.9
+    assert meter.best_point.tolist() == [0.5, 0.0]
+    with pytest.raises(ValueError, match="read-only"):
+        meter.lower[0] = -5
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
+def test_a_value_that_is_not_finite_is_counted_and_never_the_best(bad):
+    _, meter = metered(values=[bad, 3.0, bad, 2.0, bad])
+    assert meter(np.zeros(2)) == math.inf
+    assert meter.best_point is None
+    assert meter.evaluate(np.zeros((3, 2))).tolist() == [3.0, math.inf, 2.0]
+    assert meter(np.zeros(2)) == math.inf
+    assert (meter.nonfinite, meter.evaluations, meter.best_value) == (3, 5, 2.0)
+
+
+def test_infinities_of_both_signs_and_huge_values_in_one_batch():
+    _, meter = metered(values=[math.inf, -math.inf, 1e200, math.nan])
+    assert meter.evaluate(np.zeros((4, 2))).tolist() == [math.inf, math.inf, 1e200, math.inf]
+    assert (meter.nonfinite, meter.best_value) == (3, 1e200)
+
+
+@pytest.mark.parametrize("x", [[1.0000000001, 0], [0, -1.1], [math.nan, 0], [math.inf, 0]])
+@pytest.mark.parametrize("n", [2, 40])
+def test_a_point_outside_the_box_is_refused_and_not_evaluated(x, n):
+    problem, meter = metered(n=n)
+    x = np.concatenate([x, np.zeros(n - 2)])
+    with pytest.raises(InvalidEvaluation, match=r"x\[\d+\]: expected a number within \[-1.0, 1.0\]|within"):
+        meter(x)
+    assert problem.count == meter.evaluations == 0
+    assert meter.fault is not None
+    with pytest.raises(InvalidEvaluation):  # and it stays refused, even if a library swallowed the first
+        meter(np.zeros(n))
+    _, meter = metered(n=n)
+    with pytest.raises(InvalidEvaluation):
+        meter.evaluate(np.array([np.zeros(n), x]))
+
+
+def test_the_edges_of_the_box_belong_to_it():
+    _, meter = metered()
+    assert meter(np.array([1.0, -1.0])) == 2.0
+
+
+@pytest.mark.parametrize("x", [np.zeros(3), np.zeros((1, 2)), np.float64(0.0)])
+def test_a_point_of_another_shape_is_refused(x):
+    _, meter = metered()
+    with pytest.raises(InvalidEvaluation, match=r"expected a point of shape \(2,\)"):
+        meter(x)
+
+
+@pytest.mark.parametrize("X", [np.zeros(2), np.zeros((4, 3)), np.zeros((1, 1, 2))])
+def test_a_batch_of_another_shape_is_refused(X):
+    _, meter = metered()
+    with pytest.raises(InvalidEvaluation, match=r"expected a batch of shape \(p, 2\)"):
+        meter.evaluate(X)
+
+
+def test_a_problem_that_returns_the_wrong_shape_is_named():
+    _, meter = metered(values=[1.0])
+    with pytest.raises(InvalidEvaluation, match=r"the problem: expected values of shape \(3,\), got \(1,\)"):
+        meter.evaluate(np.zeros((3, 2)))
+
+
+def test_the_target_ends_the_run_after_the_evaluation_that_reaches_it():
+    problem, meter = metered(values=[3.0, 1.0, 0.5, 0.1], evaluations=10, target=1.0)
+    meter(np.zeros(2))
+    meter(np.zeros(2))
+    with pytest.raises(BudgetExhausted):
+        meter(np.zeros(2))
+    assert problem.count == 2
+
+
+def test_the_seconds_end_the_run():
+    _, meter = metered(seconds=1e-9)
+    with pytest.raises(BudgetExhausted):
+        meter(np.zeros(2))
+    assert meter.evaluations == 0
+
+
+def test_a_gradient_is_counted_once_and_refused_where_there_is_none():
+    class Parabola(Counted):
+        has_gradient = True
+
+        def value_and_gradient(self, x):
+            return float(x @ x), 2 * x
+
+    meter = MeteredProblem(Parabola(), Budget(evaluations=1))
+    assert meter.has_gradient
+    value, gradient = meter.value_and_gradient(np.array([0.5, 0.0]))
+    assert (value, gradient.tolist()) == (0.25, [1.0, 0.0])
+    assert (meter.evaluations, meter.gradients) == (1, 1)
+    with pytest.raises(BudgetExhausted):
+        meter.value_and_gradient(np.zeros(2))
+    _, plain = metered()
+    assert not plain.has_gradient
+    with pytest.raises(Incompatible, match="Counted has no analytic gradient"):
+        plain.value_and_gradient(np.zeros(2))
+
+
+@given(st.integers(0, 2**32))
+def test_the_unit_box_maps_into_the_box_and_back(seed):
+    rng = np.random.default_rng(seed)
+    problem = Counted(n=3)
+    problem.lower = rng.normal(size=3) * 10.0 ** rng.integers(-8, 8)
+    problem.upper = problem.lower + rng.random(3) + 1e-3
+    meter = MeteredProblem(problem, Budget(evaluations=10))
+    for U in (rng.random((4, 3)), np.ones((1, 3)), np.zeros((1, 3))):
+        X = meter.from_unit(U)
+        meter.evaluate(X)
+        np.testing.assert_allclose(meter.to_unit(X), U, atol=1e-6)
+
+
+def test_a_budget_needs_a_limit_and_a_problem_a_box():
+    with pytest.raises(OptionError, match="expected a limit in evaluations or in seconds, got neither"):
+        Budget(target=1.0)
+    with pytest.raises(OptionError, match="evaluations: expected greater than or equal to 1, got 0"):
+        Budget(evaluations=0)
+    problem = Counted()
+    problem.upper = problem.lower
+    with pytest.raises(ValueError, match="lower < upper"):
+        MeteredProblem(problem, Budget(evaluations=1))

@@ -1,0 +1,153 @@
+"""Options are checked when made, and every error names the option, what was expected and what came."""
+
+import functools
+from dataclasses import dataclass, field
+from typing import Annotated, ClassVar, Literal
+
+import pytest
+
+from nfbench import FilePath, Ge, Gt, Le, OneOf, OptionError, Options
+from nfbench.core.options import build, canonical, relative_to
+
+
+@dataclass(frozen=True)
+class Line(Options):
+    kind: ClassVar[str] = "line"
+    elements: Annotated[int, Ge(2)] = 8
+
+
+@dataclass(frozen=True)
+class Ring(Options):
+    kind: ClassVar[str] = "ring"
+    radius: Annotated[float, Gt(0)]
+    tilt: tuple[float, float] = (0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Sample(Options):
+    size: Annotated[int, Ge(4), Le(1000)] = 50
+    F: float = 0.5
+    rule: Literal["clip", "resample"] = "clip"
+    snr: float | tuple[float, ...] = 20.0
+    array: Annotated[Line | Ring, OneOf(Line, Ring)] = field(default_factory=Line)
+    start: float | None = None
+    stop: float | None = None
+    depth = 3
+
+    def validate(self):
+        if self.start is not None and self.stop is not None and self.start >= self.stop:
+            raise ValueError(f"start: expected less than stop = {self.stop}, got {self.start}")
+
+
+def test_lists_become_tuples_and_integers_floats():
+    made = build(Sample, {"snr": [10, 20.5], "F": 1, "array": {"kind": "ring", "radius": 2, "tilt": [1, 2]}})
+    assert made == Sample(snr=(10.0, 20.5), F=1.0, array=Ring(2.0, (1.0, 2.0)))
+    assert type(made.F) is float and hash(made) == hash(made)
+
+
+def test_canonical_data_holds_every_default_and_makes_the_same_again():
+    made = Sample(array=Ring(1.0))
+    plain = canonical(made)
+    assert plain["array"] == {"kind": "ring", "radius": 1.0, "tilt": [0.0, 0.0]}
+    assert build(Sample, plain) == made
+    assert canonical(build(Sample, {"snr": 20})) == canonical(Sample())
+
+
+def test_without_defaults_canonical_data_is_what_was_chosen():
+    plain = functools.partial(canonical, defaults=False)
+    assert plain(build(Sample, {"snr": 20, "array": {"kind": "line", "elements": 8}})) == {}
+    assert plain(Sample(size=51, start=1.0)) == {"size": 51, "start": 1.0}
+    assert plain(Sample(array=Line(9))) == {"array": {"kind": "line", "elements": 9}}
+    assert plain(Sample(array=Ring(1.0))) == {"array": {"kind": "ring", "radius": 1.0}}  # no default: always told
+
+
+@pytest.mark.parametrize(
+    ("options", "expected"),
+    [
+        ({"sise": 5}, [("sise", 'unknown option; did you mean "size"?')]),
+        ({"depth": 5}, [("depth", "is no option yet: give depth in class Sample a type, as in `depth: float = 0.5`")]),
+        ({"size": 3}, [("size", "expected greater than or equal to 4, got 3")]),
+        ({"size": 5.0}, [("size", "expected integer, got 5.0")]),
+        ({"size": True}, [("size", "expected integer, got True")]),
+        ({"F": "x"}, [("F", "expected number, got 'x'")]),
+        ({"F": float("nan")}, [("F", "expected a number, got nan")]),
+        ({"rule": "clop"}, [("rule", "expected 'clip' or 'resample', got 'clop'")]),
+        ({"snr": "x"}, [("snr", "expected number or list, got 'x'")]),
+        ({"array": {"kind": "lin"}}, [("array.kind", "unknown kind 'lin'; did you mean \"line\"?")]),
+        ({"array": {}}, [("array.kind", "is required; known: line, ring")]),
+        ({"array": {"kind": "ring"}}, [("array.radius", "is required: expected number")]),
+        ({"array": {"kind": "line", "elemnts": 3}}, [("array.elemnts", 'unknown option; did you mean "elements"?')]),
+        ({"array": 7}, [("array", "expected a table with a kind (line, ring), got 7")]),
+        ({"start": 2.0, "stop": 1.0}, [("", "start: expected less than stop = 1.0, got 2.0")]),
+    ],
+)
+def test_each_mistake_is_named(options, expected):
+    with pytest.raises(OptionError) as caught:
+        build(Sample, options)
+    assert caught.value.problems == expected
+
+
+def test_all_mistakes_come_at_once():
+    with pytest.raises(OptionError) as caught:
+        build(Sample, {"size": 1, "F": "x", "ruel": "clip", "array": {"kind": "line", "elements": 0}})
+    assert [path for path, _ in caught.value.problems] == ["ruel", "size", "F", "array.elements"]
+
+
+def test_making_one_directly_is_checked_alike():
+    with pytest.raises(OptionError, match="Sample: size: expected greater than or equal to 4, got 1"):
+        Sample(size=1)
+
+
+def test_a_file_is_found_beside_the_manifest(tmp_path):
+    @dataclass(frozen=True)
+    class Reader(Options):
+        file: FilePath
+
+    (tmp_path / "data.csv").write_text("1")
+    with relative_to(tmp_path):
+        assert Reader("data.csv").file == str(tmp_path / "data.csv")
+        with pytest.raises(OptionError, match="no such file"):
+            Reader("other.csv")
+    with pytest.raises(OptionError, match=r"no such file: data\.csv"):
+        Reader("data.csv")
+
+
+def test_one_of_several_may_share_a_base_of_options():
+    @dataclass(frozen=True)
+    class Shape(Options): ...
+
+    @dataclass(frozen=True)
+    class Disc(Shape):
+        kind: ClassVar[str] = "disc"
+
+    @dataclass(frozen=True)
+    class Holder(Options):
+        shape: Annotated[Shape, OneOf(Disc)] = field(default_factory=Disc)
+
+    assert build(Holder, {"shape": {"kind": "disc"}}).shape == Disc()
+
+
+@dataclass(frozen=True)
+class Nested(Options):
+    line: Line = Line()  # frozen
+
+
+def test_a_field_of_options_takes_their_table():
+    made = build(Nested, {"line": {"elements": 3}})
+    assert made == Nested(line=Line(3)) and made.line.elements == 3
+    assert build(Nested, {}) == Nested()
+    assert build(Nested, {"line": Line(5)}).line == Line(5)
+
+
+@pytest.mark.parametrize(
+    ("line", "expected"),
+    [
+        ({"elements": 1}, ("line.elements", "expected greater than or equal to 2, got 1")),
+        ({"element": 3}, ("line.element", 'unknown option; did you mean "elements"?')),
+        (3, ("line", "expected a table (elements), got 3")),
+    ],
+)
+def test_a_wrong_table_is_told_with_its_path(line, expected):
+    with pytest.raises(OptionError) as refused:
+        build(Nested, {"line": line})
+    assert refused.value.problems == [expected]

@@ -1,0 +1,412 @@
+"""Figures against the tables that they are made from, and the same bytes every time."""
+
+import dataclasses
+import itertools
+import json
+import math
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from matplotlib.colors import to_rgba
+from scipy.stats import binom
+
+import nfbench
+from nfbench.analysis import median_interval
+from nfbench.cli import main
+from nfbench.core.errors import NfbenchError
+from nfbench.figures import Drawing, figures, styled, write_figures
+from nfbench.figures.axes import error_axis, new_figure
+from nfbench.figures.data import drawn
+from nfbench.figures.error import error_figures
+from nfbench.figures.labels import name_of, places, setting, text_of
+from nfbench.figures.style import styles
+from nfbench.results.store import Store
+
+TOY = """
+[[formulation]]
+kind = "once"
+[[formulation]]
+kind = "twice"
+[[solver]]
+kind = "sampler"
+[[solver]]
+kind = "sampler"
+batch = 4
+[budget]
+evaluations = 40
+[summary]
+outlier_m = 0.3
+"""
+FIELD = """
+name = "field"
+title = "Two sources"
+repetitions = 3
+seed = 2
+[scenario]
+kind = "near-field"
+array = { kind = "KIND", spacing_wavelengths = 0.25, origin = "first", ELEMENTS }
+wavelength_m = 0.02
+sources = 2
+snapshots = 8
+snr_db = 20.0
+azimuth_deg = [-60, 60]
+range_m = [0.1, 0.5]
+PLUS
+[[formulation]]
+kind = "nemo"
+[[solver]]
+kind = "random-search"
+[budget]
+evaluations = 50
+"""
+
+
+@pytest.fixture
+def study(manifest, tmp_path):
+    """Runs the toy study with this [sweep], in a folder of its own."""
+
+    def run(sweep="", *, repetitions=8, extra=TOY):
+        path = manifest(f"{extra}\n{f'[sweep]{chr(10)}{sweep}' if sweep else ''}", repetitions=repetitions)
+        return nfbench.run(nfbench.load_study(path), out=tmp_path / "out", jobs=0)
+
+    return run
+
+
+@pytest.fixture
+def field(tmp_path):
+    """Runs a small near-field study, 2D or 3D."""
+
+    def run(three=False):
+        text = FIELD.replace("KIND", "upa" if three else "ula")
+        text = text.replace("ELEMENTS", "columns = 3, rows = 3" if three else "elements = 8")
+        (tmp_path / "field.toml").write_text(text.replace("PLUS", "elevation_deg = [-30, 30]" if three else ""))
+        return nfbench.run(nfbench.load_study(tmp_path / "field.toml"), out=tmp_path / "field", jobs=0)
+
+    return run
+
+
+def drawings(results, **how):
+    with styled():
+        return dict(figures(results, Drawing(**how)))
+
+
+def line(ax, label):
+    """The data of the line of that label, without the gap before ∞."""
+    (found,) = [found for found in ax.lines if found.get_label() == label]
+    x, y = np.array(found.get_xdata(), dtype=float), np.array(found.get_ydata(), dtype=float)
+    return x[~np.isnan(y)].tolist(), y[~np.isnan(y)].tolist()
+
+
+def test_lines_are_the_summary_with_its_intervals(study):
+    results = study("noise = [0.0, 0.25, 1.0]\n")
+    rmse, median, far = drawings(results)["error"].axes
+    summary = results.summary()
+    assert len(summary) == 12 and len(summary["method"].unique()) == 4
+    for ax, column, factor in ((rmse, "rmse_m", 1), (median, "median_m", 1), (far, "outlier_rate", 100)):
+        for method, rows in summary.groupby("method"):
+            x, y = line(ax, method)
+            assert x == [0.0, 0.25, 1.0]
+            assert y == pytest.approx(factor * rows[column].to_numpy())
+    assert (rmse.get_yscale(), median.get_yscale(), far.get_yscale()) == ("log", "log", "linear")
+    assert rmse.get_ylabel() == "RMSE [m]" and far.get_xlabel() == "Noise"
+    for band, (_, rows) in zip(rmse.collections[::2], summary.groupby("method", sort=False), strict=True):
+        (outline,) = band.get_paths()
+        edges = {(round(x, 9), round(y, 9)) for x, y in outline.vertices}
+        for end in ("rmse_m_low", "rmse_m_high"):
+            assert {(x, round(y, 9)) for x, y in zip([0.0, 0.25, 1.0], rows[end], strict=True)} <= edges
+
+
+def test_the_interval_of_the_median_covers_it_as_often_as_it_says():
+    rng = np.random.default_rng(3)
+    inside = [low <= 0 <= high for low, high in (median_interval(rng.normal(size=25)) for _ in range(2000))]
+    exact = 1 - 2 * binom.cdf(7, 25, 0.5)  # between the 8th and the 18th of 25
+    assert exact > 0.95 and np.mean(inside) == pytest.approx(exact, abs=0.02)
+    assert median_interval(np.arange(6.0)) == (0.0, 5.0)  # 1 - 2·2⁻⁶ = 0.97
+    assert all(map(math.isnan, median_interval(np.arange(5.0))))
+
+
+@pytest.mark.parametrize("known", [(), ("crb_m",), ("crb_m", "floor_m")])
+@pytest.mark.parametrize("sweep", ["", "noise = [0.0, 0.25, 1.0]\n", 'names = [["a"], ["b", "c"]]\n'])
+def test_bounds_are_drawn_where_the_summary_knows_them(study, known, sweep):
+    seen = drawn(study(sweep))
+    points = seen.table["method"].eq(seen.methods[0]).sum()
+    bound = np.repeat(0.01 * np.arange(1.0, points + 1), 4)
+    columns = {name: bound * (1 + i) if name in known else math.nan for i, name in enumerate(("crb_m", "floor_m"))}
+    seen = dataclasses.replace(seen, table=seen.table.assign(**columns))
+    with styled():
+        ((_, figure),) = error_figures(seen, "single", None)
+    rmse, *others = figure.axes
+    labels = [found.get_label() for found in rmse.lines]
+    assert {"crb_m", "floor_m"} & set(labels) == set(known)
+    for name in known:
+        if "noise" in sweep:
+            assert line(rmse, name)[1] == pytest.approx(columns[name][::4])
+        else:
+            at = {value for found in rmse.lines if found.get_label() == name for value in found.get_xdata()}
+            assert at == set(columns[name])
+        (look,) = {found.get_linestyle() for found in rmse.lines if found.get_label() == name}
+        assert look == {"crb_m": "--", "floor_m": ":"}[name]
+    assert not any(found.get_label() in columns for ax in others for found in ax.lines)
+    legend = [text.get_text() for found in figure.legends for text in found.get_texts()]
+    assert ("Cramér–Rao bound" in legend, "Error floor" in legend) == ("crb_m" in known, "floor_m" in known)
+
+
+def test_without_a_sweep_methods_stand_below_each_other_the_best_on_top(study):
+    results = study()
+    rmse, median, *_ = drawings(results)["error"].axes
+    summary = results.summary().sort_values("rmse_m")
+    names = [text.get_text().replace("\n", " ") for text in rmse.get_yticklabels()]
+    assert names == summary["method"].tolist()
+    for place, name, error, middle in zip(
+        rmse.get_yticks(), names, summary["rmse_m"], summary["median_m"], strict=True
+    ):
+        assert line(rmse, name) == ([pytest.approx(error)], [place])
+        assert line(median, name) == ([pytest.approx(middle)], [place])
+    assert list(rmse.get_yticks()) == sorted(rmse.get_yticks(), reverse=True)
+
+
+def test_run_time_stands_against_error(study):
+    results = study("noise = [0.0, 0.25]\n")
+    panels = drawings(results)["runtime"].axes
+    assert [ax.get_title("left") for ax in panels] == ["Noise = 0", "Noise = 0.25"]
+    for ax, (_, rows) in zip(panels, results.summary().groupby("scenario.noise"), strict=True):
+        for row in rows.to_dict("records"):
+            assert line(ax, row["method"]) == ([row["runtime_s"]], [row["rmse_m"]])
+    long = drawings(study("noise = [0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6]\n", repetitions=1))["runtime"].axes
+    assert [ax.get_title("left") for ax in long] == [f"Noise = {x}" for x in ("0", "0.2", "0.4", "0.6")]
+
+
+def test_a_second_key_gives_panels_and_many_values_files(study):
+    results = study("dimension = [1, 2, 3]\nnoise = [0.0, 0.5]\n", repetitions=2)
+    (figure,) = [figure for stem, figure in drawings(results).items() if stem.startswith("error")]
+    headings = [ax.get_title("left") for ax in figure.axes]
+    assert headings[:2] == ["Noise = 0", "Noise = 0.5"]
+    summary = results.summary()
+    for ax, noise in zip(figure.axes, (0.0, 0.5), strict=False):
+        rows = summary[(summary["scenario.noise"] == noise) & (summary["method"] == "twice + sampler(batch=4)")]
+        assert line(ax, "twice + sampler(batch=4)") == ([1, 2, 3], rows["rmse_m"].tolist())
+    results = study("dimension = [1, 2]\nnoise = [0.0, 0.1, 0.2, 0.3, 0.4]\n", repetitions=1)
+    stems = [stem for stem in drawings(results) if stem.startswith("error")]
+    assert stems == [f"error-noise-{noise}" for noise in ("0", "0.1", "0.2", "0.3", "0.4")]
+    looks = {
+        (label, found.get_color(), found.get_marker())
+        for figure in drawings(results).values()
+        for ax in figure.axes
+        for found in ax.lines
+        if not (label := found.get_label()).startswith("_")
+    }
+    assert len(looks) == 4  # a method looks the same in every panel and file
+
+
+def test_categories_are_rows_with_a_dot_a_method(study):
+    results = study('names = [["a"], ["b", "c"]]\n')
+    rmse = drawings(results)["error"].axes[0]
+    assert [text.get_text() for text in rmse.get_yticklabels()] == ["a", "b, c"]
+    drawn_ = [x for found in rmse.lines for x in found.get_xdata()]
+    assert sorted(drawn_) == pytest.approx(sorted(results.summary()["rmse_m"]))
+
+
+def test_infinity_stands_apart_from_the_numbers():
+    at = places("rician_k", [1.0, 10.0, math.inf, 100.0])
+    assert at.log and at.of == {1.0: 1.0, 10.0: 10.0, 100.0: 100.0, math.inf: 1000.0} and at.beyond == 1000.0
+    assert not places("snr_db", [1.0, 10.0, 100.0]).log and not places("sources", list(range(1, 12))).log
+    assert places("snr_db", [0, 10]).of == {0.0: 0.0, 10.0: 10.0}
+    for categories in ([10.0, math.inf], ["a", "b"], [1.0, "[1, 2]"], [True, False], [5]):
+        assert places("x", categories) is None
+
+
+@pytest.mark.parametrize(
+    ("key", "label"),
+    [
+        ("snr_db", "SNR [dB]"),
+        ("rician_k", "Rician factor κ"),
+        ("array.spacing_wavelengths", "Array spacing [λ]"),
+        ("min_separation_deg", "Min separation [°]"),
+        ("nlos.angular_spread_deg", "Nlos angular spread [°]"),
+        ("my_key", "My key"),
+        ("range_m", "Range [m]"),
+        ("a$b$", r"A\$b\$"),
+    ],
+)
+def test_axis_labels(key, label):
+    assert name_of(key) == label
+
+
+def test_cells_as_text():
+    cells = [math.inf, -5.0, json.dumps([0.0, 20.5]), json.dumps({"kind": "clusters", "count": 3}), "iid", True]
+    assert [text_of(cell) for cell in cells] == ["∞", "−5", "0, 20.5", "clusters (count = 3)", "iid", "yes"]
+    assert setting("rician_k", math.inf) == "κ = ∞" and setting("snr_db", 20.0) == "SNR = 20 dB"
+
+
+def test_styles_differ_without_colour_and_with_it():
+    looks = list(styles([str(i) for i in range(44)]).values())
+    assert len({(look.marker, str(look.line)) for look in looks}) == 44
+    assert all(to_rgba(look.colour) != to_rgba("black") for look in looks)
+    assert len({look.colour for look in looks[:7]}) == 7
+
+
+@pytest.mark.parametrize(
+    "values", [[0.013, 0.015], [0.02, 0.09], [1e-3, 3.0], [1e-30, 1.0], [5.0], [0.0, 1e-9, 1.0], [1e5, 1.2e5]]
+)
+@pytest.mark.parametrize("width", [1.5, 3.5])
+def test_a_log_axis_always_has_labels_and_they_do_not_overlap(values, width):
+    with styled():
+        figure = new_figure(width, 1.5, "")
+        ax = figure.subplots()
+        error_axis([ax], "x", values)
+        figure.draw_without_rendering()
+        boxes = [text.get_window_extent() for text in ax.get_xticklabels() if text.get_text()]
+    assert 2 <= len(boxes) <= 9
+    assert all(left.x1 < right.x0 for left, right in itertools.pairwise(boxes))
+    low, high = ax.get_xlim()
+    assert all(low < value < high for value in values)
+
+
+@pytest.mark.parametrize("width", ["single", "double"])
+@pytest.mark.parametrize(
+    "sweep",
+    ["", "noise = [0.0, 0.25, 1.0]\n", 'names = [["a"], ["b", "c"]]\n', "dimension = [1, 9]\nnoise = [0.0, 0.5]\n"],
+)
+def test_no_label_covers_another_or_leaves_the_page(study, sweep, width):
+    for stem, figure in drawings(study(sweep), width=width, traces=True).items():
+        with styled():
+            figure.draw_without_rendering()
+            for ax in figure.axes:
+                for axis in (ax.xaxis, ax.yaxis):
+                    texts = [tick.label1 for tick in axis.get_major_ticks() if tick.label1.get_visible()]
+                    boxes = [text.get_window_extent() for text in texts if text.get_text()]
+                    assert not any(a.overlaps(b) for a, b in itertools.combinations(boxes, 2)), (stem, ax)
+                    if axis.label.get_text():
+                        boxes.append(axis.label.get_window_extent())
+                    assert all(box.x0 >= -1 and box.x1 <= figure.bbox.x1 + 1 for box in boxes), (stem, ax)
+            (legend,) = figure.legends or [None]
+            if legend:
+                box = legend.get_window_extent()
+                assert box.x0 >= 0 and box.x1 <= figure.bbox.x1
+                assert all(box.y1 <= ax.get_window_extent().y0 for ax in figure.axes)
+
+
+def test_a_perfect_score_is_drawn_at_zero(study):
+    results = study(extra=TOY + '[[formulation]]\nkind = "oracle"\n')
+    rmse = drawings(results)["error"].axes[0]
+    assert line(rmse, "oracle")[0] == [0.0]
+    assert rmse.get_xlim()[0] < 0 and rmse.get_xticklabels()[0].get_text() == "0"
+
+
+def test_methods_that_fail_are_named(study):
+    results = study("noise = [0.0, 0.5]\n", extra=TOY + '[[solver]]\nkind = "raises"\n', repetitions=1)
+    legend = drawings(results)["error"].legends[0]
+    assert "once + raises (no run ok)" in [text.get_text() for text in legend.get_texts()]
+
+
+@pytest.mark.parametrize("three", [False, True])
+def test_positions_link_the_truth_and_its_estimates(field, three):
+    results = field(three)
+    figure = drawings(results, positions=True)["positions"]
+    axes = [ax for ax in figure.axes if ax.get_visible()]
+    assert len(axes) == (4 if three else 2)  # sources, and views in 3D
+    assert [ax.get_ylabel() for ax in axes[::2]] == (["y [m]", "z [m]"] if three else ["y [m]"])
+    top, below = axes[:2], axes[2:]
+    runs = results.runs
+    for k, ax in enumerate(top):
+        (x, y), (x_hat, y_hat) = line(ax, "truth"), line(ax, "nemo + random-search")
+        squares = (np.array(x) - x_hat) ** 2 + (np.array(y) - y_hat) ** 2
+        if three:
+            (_, z), (_, z_hat) = line(below[k], "truth"), line(below[k], "nemo + random-search")
+            squares += (np.array(z) - z_hat) ** 2
+        assert np.sqrt(squares) == pytest.approx(runs[f"error_{k + 1}_m"].to_numpy())
+        links = [found.get_xydata().tolist() for found in ax.lines if len(found.get_xdata()) == 2]
+        assert [*zip(zip(x, y, strict=True), zip(x_hat, y_hat, strict=True), strict=True)] == [
+            tuple(map(tuple, link)) for link in links
+        ]
+
+
+def test_positions_of_other_instances_are_refused(field):
+    results = field()
+    path = results.folder / "manifest.toml"
+    path.write_text(path.read_text().replace("range_m = [0.1, 0.5]", "range_m = [0.1, 0.6]"))
+    with pytest.raises(NfbenchError, match="positions cannot be redrawn: rmse_m of run"):
+        drawings(results, positions=True)
+    told = []
+    with styled():
+        stems = [stem for stem, _ in figures(results, Drawing(), told.append)]
+    assert stems == ["error", "runtime"] and told[0].startswith("positions are not drawn: positions cannot be")
+
+
+def test_positions_of_instances_without_places_are_an_error_only_when_asked_for(study):
+    results = study()
+    assert "positions" not in drawings(results)
+    with pytest.raises(NfbenchError, match="the scenario's instances have none"):
+        drawings(results, positions=True)
+
+
+def test_convergence_is_the_median_over_runs(study):
+    results = study()
+    figure = drawings(results, traces=True)["convergence"]
+    assert [ax.get_title("left") for ax in figure.axes] == ["once", "twice"]
+    runs, traces = results.runs, results.traces
+    own = traces[traces["run_id"].isin(runs.loc[runs["method"] == "once + sampler(batch=4)", "run_id"])]
+    for evaluations, value in zip(*line(figure.axes[0], "once + sampler(batch=4)"), strict=True):
+        so_far = own[own["evaluations"] <= evaluations].groupby("run_id")["value"].min()
+        assert value == pytest.approx(so_far.median())
+
+
+def test_the_same_results_give_the_same_bytes_in_another_process(field):
+    results = field()
+    how = Drawing(traces=True)
+    first = {
+        path.name: path.read_bytes() for path in write_figures(results, results.folder, ["svg", "pdf", "png"], how)
+    }
+    assert set(first) == {
+        f"{stem}.{kind}" for stem in ("error", "runtime", "positions", "convergence") for kind in ("svg", "pdf", "png")
+    }
+    command = [sys.executable, "-m", "nfbench", "figure", str(results.folder), "--out", str(results.folder / "again")]
+    environment = {**os.environ, "PYTHONHASHSEED": "7", "MPLBACKEND": "svg", "SOURCE_DATE_EPOCH": "1"}
+    done = subprocess.run(
+        [*command, "--format", "svg,pdf,png", "--traces"], env=environment, capture_output=True, text=True, timeout=120
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    assert [line.rsplit("/", 1)[1] for line in done.stdout.splitlines()] == list(first)
+    for name, content in first.items():
+        assert (results.folder / "again" / name).read_bytes() == content, name
+        assert len(content) < 300_000
+    assert b"<dc:date>" not in first["error.svg"] and b"CreationDate" not in first["error.pdf"]
+    assert b"/Type3" not in first["error.pdf"]
+
+
+def test_wrong_use_is_exit_code_2_with_a_message(study, tmp_path, monkeypatch, capsys):
+    def figure(*arguments):
+        monkeypatch.setattr(sys, "argv", ["nfbench", "figure", *map(str, arguments)])
+        monkeypatch.setenv("COLUMNS", "160")
+        with pytest.raises(SystemExit) as ended:
+            main()
+        return ended.value.code, capsys.readouterr().err
+
+    results = study(repetitions=2)
+    for arguments, message in (
+        (["nowhere"], "expected a results folder with runs.sqlite, found none"),
+        ([results.folder, "--format", "svg,eps"], "expected svg, pdf, png, got 'eps'"),
+        ([results.folder, "--width", "triple"], "'triple' is not one of"),
+        ([results.folder, "--out", results.folder / "runs.csv"], "runs.csv"),
+        ([results.folder, "--positions"], "no positions to draw"),
+    ):
+        code, told = figure(*arguments)
+        assert code == 2 and message in told, told
+    with Store(results.folder, write=True) as store:
+        store._db.execute("DELETE FROM results WHERE run_id = ?", [results.runs["run_id"][0]])
+        store._db.commit()
+    code, told = figure(results.folder, "--out", tmp_path / "drawn")
+    assert code == 0 and (tmp_path / "drawn" / "error.svg").is_file()
+    assert told == "nfbench: unfinished: 1 of 8 runs are still to do; the figures show the others\n"
+    with Store(results.folder, write=True) as store:
+        store.forget(["ok"])
+    code, told = figure(results.folder)
+    assert code == 2 and "nothing to draw: no run is finished yet" in told
+
+
+def test_the_command_line_does_not_import_matplotlib():
+    code = "import sys, nfbench.cli, nfbench.results; sys.exit('matplotlib' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], timeout=60).returncode == 0

@@ -1,0 +1,164 @@
+from dataclasses import replace
+
+import numpy as np
+import oracles
+import pytest
+from numpy.testing import assert_allclose
+
+import nfbench
+from nfbench import Incompatible, OptionError
+from nfbench.core.options import build
+from nfbench.plugins.registry import Registry
+from nfbench.problems.near_field.estimators import grid_refine
+from nfbench.problems.near_field.estimators.grid_refine import GridRefine, resolution_grid
+from nfbench.problems.near_field.estimators.refinement import refine, resolution
+from nfbench.problems.near_field.instance import NearFieldInstance
+from nfbench.problems.near_field.objectives.subspace_fitting import ESF
+from nfbench.problems.near_field.scenario import NearField
+from nfbench.problems.near_field.subspace import signal_subspace
+
+PLANE = {
+    "array": {"kind": "ula", "elements": 128, "spacing_wavelengths": 0.25, "origin": "first"},
+    "wavelength_m": 0.02,
+    "wavefront": "paper",
+    "sources": 3,
+    "snapshots": 200,
+    "snr_db": 20.0,
+    "azimuth_deg": [-60, 60],
+    "range_m": [1.27, 20.16],
+}
+SPACE = PLANE | {
+    "array": {"kind": "upa", "columns": 16, "rows": 16, "spacing_wavelengths": 0.5, "origin": "center"},
+    "wavefront": "exact",
+    "snapshots": 100,
+    "elevation_deg": [-30, 30],
+    "range_m": [0.452, 2.56],
+}
+
+
+def scene(seed: int = 0, manifest: dict = PLANE, **changes) -> NearFieldInstance:
+    return build(NearField, manifest | changes).draw(np.random.default_rng(seed))
+
+
+def solve(instance: NearFieldInstance, **options) -> np.ndarray:
+    def never(problem):
+        raise AssertionError("a formulation without a solver asked for one")
+
+    return GridRefine(**options).solve(instance, never)
+
+
+def esf_of(instance: NearFieldInstance) -> ESF:
+    return ESF(signal_subspace(instance.Y, instance.sources), instance.manifold, instance.lower, instance.upper)
+
+
+def excess(instance: NearFieldInstance, budget: int = 0, **options) -> float:
+    """ESF above the least that is known: a minimum next to the truth, or where a long search by DE ends."""
+    esf = esf_of(instance)
+    known = [esf.value(refine(esf, instance.theta.ravel(), instance.manifold))]
+    if budget:
+        found = nfbench.minimize(esf, nfbench.solver("scipy-de"), budget, seed=1)
+        known.append(esf.value(refine(esf, found.x, instance.manifold)))
+    return esf.value(solve(instance, **options).ravel()) - min(known)
+
+
+@pytest.mark.parametrize("snr_db", [0.0, 10.0, 20.0])
+def test_the_optimum_is_reached_in_the_plane(snr_db):
+    assert max(excess(scene(seed, snr_db=snr_db)) for seed in range(10)) < 1e-8
+
+
+def test_the_optimum_is_reached_in_space():
+    assert max(excess(scene(seed, SPACE)) for seed in range(5)) < 1e-8
+
+
+@pytest.mark.parametrize("changes", [{}, {"rician_k": 10.0, "fading": "block"}], ids=["line of sight", "fading"])
+def test_a_long_global_search_finds_nothing_better(changes):
+    assert max(excess(scene(seed, **changes), budget=60_000) for seed in range(3)) < 1e-8
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("manifest", "snr_db", "scenes"), [(PLANE, 10.0, 40), (PLANE, 20.0, 40), (SPACE, 20.0, 20)], ids=str
+)
+def test_a_long_global_search_finds_nothing_better_in_many_scenes(manifest, snr_db, scenes):
+    above = [excess(scene(seed, manifest, snr_db=snr_db), budget=60_000) > 1e-8 for seed in range(scenes)]
+    assert np.mean(above) <= 0.05
+
+
+def test_sweeps_mend_a_greedy_choice_that_was_wrong():
+    """On a coarse grid the first choices can block one another; choosing anew frees them."""
+    instance = scene(0, SPACE)
+    assert excess(instance, density=1.0, sweeps=0) > 0.9
+    assert excess(instance, density=1.0) < 1e-8
+
+
+def test_without_noise_the_sources_are_found():
+    instance = scene(positions=[[-35, 3.0], [10, 8.0], [30, 2.0]])
+    Y = instance.manifold.response(instance.theta).T @ np.diag([1.0, 2.0, 3.0])
+    estimate = solve(replace(instance, Y=Y))
+    assert_allclose(estimate[np.argsort(estimate[:, 0])], instance.theta, atol=1e-5)
+
+
+def test_a_gain_is_what_one_more_source_takes_off_esf():
+    instance = scene()
+    U_s = signal_subspace(instance.Y, 3)
+    grid = np.random.default_rng(0).uniform(instance.lower, instance.upper, (20, 2))
+    for count in range(3):
+        A = [oracles.response(instance.manifold, theta) for theta in instance.theta[:count]]
+        before = oracles.esf(U_s, np.array(A).T) if A else 3.0
+        after = [oracles.esf(U_s, np.array([*A, oracles.response(instance.manifold, x)]).T) for x in grid]
+        gains = grid_refine._gains(U_s, instance.manifold, instance.theta[:count], grid)
+        assert_allclose(gains, before - np.array(after), atol=1e-12)
+
+
+def test_a_source_is_not_chosen_where_another_is():
+    instance = scene()
+    grid = np.vstack([instance.theta[0], instance.theta])
+    gains = grid_refine._gains(signal_subspace(instance.Y, 3), instance.manifold, instance.theta[:1], grid)
+    assert_allclose(gains[:2], 0.0)
+    assert gains[2:].min() > 0.5
+
+
+def test_the_grid_of_a_ula_is_uniform_in_sine_and_inverse_range():
+    instance = scene()
+    grid = resolution_grid(instance.manifold, instance.lower, instance.upper, 2.0)
+    azimuth, ranges = np.unique(grid[:, 0]), np.unique(grid[:, 1])
+    assert len(grid) == len(azimuth) * len(ranges)
+    assert_allclose([azimuth[[0, -1]], ranges[[0, -1]]], np.array([instance.lower, instance.upper]).T)
+    beamwidth, depth = resolution(instance.manifold)
+    sines, inverses = np.diff(np.sin(azimuth)), -np.diff(1 / ranges)
+    assert_allclose(sines, sines.mean(), rtol=1e-2)
+    assert_allclose(inverses, inverses.mean(), rtol=1e-6)
+    assert 0.45 * beamwidth < sines.mean() <= beamwidth / 2
+    assert 0.4 * depth < inverses.mean() <= depth / 2
+    assert len(resolution_grid(instance.manifold, instance.lower, instance.upper, 4.0)) > 3 * len(grid)
+
+
+def test_the_grid_of_a_circle_is_uniform_in_azimuth():
+    circle = {"kind": "uca", "elements": 64, "radius_wavelengths": 8.0, "origin": "center"}
+    instance = scene(array=circle, azimuth_deg=[-180, 180], range_m=[1.0, 10.0])
+    azimuth = np.unique(resolution_grid(instance.manifold, instance.lower, instance.upper, 2.0)[:, 0])
+    assert_allclose(np.diff(azimuth), 1 / 32, rtol=5e-2)
+
+
+def test_another_wavefront_may_be_assumed():
+    instance = scene(wavefront="exact", snr_db=40.0)
+    right, wrong = (instance.score(solve(instance, wavefront=w))["rmse_m"] for w in ("exact", "paper"))
+    assert right < 0.02 < wrong
+
+
+def test_it_needs_as_many_snapshots_as_sources():
+    with pytest.raises(Incompatible, match=r"snapshots: expected at least 3 .* got 2"):
+        solve(scene(snapshots=2))
+
+
+def test_it_is_made_from_a_manifests_table():
+    made = Registry().make("formulation", "grid-refine", {"density": 3})
+    assert made == GridRefine(density=3.0)
+    assert not made.needs_solver
+
+
+@pytest.mark.parametrize("options", [{"density": 0.0}, {"sweeps": -1}, {"wavefront": "round"}])
+def test_impossible_options_are_refused(options):
+    (name,) = options
+    with pytest.raises(OptionError, match=name):
+        GridRefine(**options)

@@ -1,0 +1,309 @@
+"""Exports against the traces they are made from, and against what IOHprofiler itself writes."""
+
+import json
+import sys
+
+import numpy as np
+import pandas as pd
+import pytest
+from conftest import BASIC
+
+import nfbench
+import nfbench.results.store
+from nfbench import StoreError, load_study
+from nfbench.cli import main
+from nfbench.core.budget import Budget
+from nfbench.core.errors import NfbenchError
+from nfbench.core.meter import MeteredProblem
+from nfbench.core.problem import Problem
+from nfbench.core.status import Status
+from nfbench.core.trace import Trace
+from nfbench.results.export import export_csv, export_ioh
+from nfbench.results.store import Store
+from nfbench.study.records import RunRecord
+
+SEVERAL = """
+[[formulation]]
+kind = "once"
+[[formulation]]
+kind = "twice"
+[[solver]]
+kind = "sampler"
+[[solver]]
+kind = "raises"
+[[method]]
+formulation = "oracle"
+[budget]
+evaluations = 40
+[sweep]
+dimension = [1, 2]
+noise = [0.0, 0.5]
+"""
+
+
+@pytest.fixture
+def several(manifest, tmp_path):
+    """Two problems a run of ``twice``, two dimensions, a solver that fails, and a method that minimizes nothing."""
+    return nfbench.run(load_study(manifest(SEVERAL, repetitions=2)), out=tmp_path / "out", jobs=0)
+
+
+def written(manifest, folder, records, extra=BASIC, **options):
+    """A folder with these records, which are (status, traces), as its first runs."""
+    study = load_study(manifest(extra, **options))
+    folder.mkdir()
+    with Store(folder, write=True) as store:
+        store.begin(study)
+        store.add(
+            RunRecord(spec.run_id, status, traces=traces)
+            for spec, (status, traces) in zip(study.specs(), records, strict=False)
+        )
+    return nfbench.Results(folder)
+
+
+def trace(*rows):
+    """A trace in one dimension: rows of (evaluations, value, point)."""
+    evaluations, values, points = (np.array(column) for column in zip(*rows, strict=True))
+    return Trace(evaluations, np.arange(len(rows)) / 4, values.astype(float), points.astype(float)[:, None])
+
+
+def read_ioh(folder):
+    """Every row of a folder in IOHprofiler's format, told apart as its readers do: a run begins at evaluation 1."""
+    rows = []
+    for path in sorted(folder.glob("**/*.json")):
+        head = json.loads(path.read_text())
+        about = {"method": head["algorithm"]["name"], "function": head["function_id"]}
+        for attribute in head["experiment_attributes"]:
+            about |= attribute
+        for scenario in head["scenarios"]:
+            runs = iter(scenario["runs"])
+            for line in (path.parent / scenario["path"]).read_text().splitlines():
+                if line == "evaluations raw_y":
+                    continue
+                evaluations, value = line.split(" ")
+                if evaluations == "1":
+                    run = next(runs)
+                where = {"repetition": run["instance"], "dimension": scenario["dimension"]}
+                rows.append(about | where | {"evaluations": int(evaluations), "value": float(value), "best": run})
+            assert next(runs, None) is None
+    return pd.DataFrame(rows)
+
+
+def test_the_files_are_as_ioh_writes_them(manifest, tmp_path):
+    # the structure of examples/SO_Data/HC in github.com/IOHprofiler/IOHinspector
+    first = trace((1, 3.5, 0.25), (4, 1e-12, -0.5), (9, 1e-12, -0.5))
+    second = trace((1, -2.0, 1.0))
+    results = written(manifest, tmp_path / "out", [(Status.OK, (first,)), (Status.OK, (second,))], repetitions=2)
+    told = str(export_ioh(results))
+    assert told == f"{tmp_path}/out/export-ioh: 2 of 2 runs"
+    folder = tmp_path / "out" / "export-ioh" / "once_+_sampler"
+    data = folder / "data_f1_once_problem_0" / "IOHprofiler_f1_DIM1.dat"
+    assert data.read_text() == "evaluations raw_y\n1 3.5\n4 1e-12\n9 1e-12\nevaluations raw_y\n1 -2.0\n"
+    assert {path for path in folder.glob("**/*") if path.is_file()} == {
+        data,
+        folder / "IOHprofiler_f1_once_problem_0.json",
+    }
+    assert json.loads((folder / "IOHprofiler_f1_once_problem_0.json").read_text()) == {
+        "version": "0.3.22",
+        "suite": "nfbench toy",
+        "function_id": 1,
+        "function_name": "once problem 0",
+        "maximization": False,
+        "algorithm": {"name": "once + sampler", "info": "formulation once, solver sampler"},
+        "experiment_attributes": [{"formulation": "once"}, {"solver": "sampler"}, {"problem": "0"}],
+        "attributes": ["evaluations", "raw_y"],
+        "scenarios": [
+            {
+                "dimension": 1,
+                "path": "data_f1_once_problem_0/IOHprofiler_f1_DIM1.dat",
+                "runs": [
+                    {"instance": 0, "evals": 9, "best": {"evals": 4, "y": 1e-12, "x": [-0.5]}},
+                    {"instance": 1, "evals": 1, "best": {"evals": 1, "y": -2.0, "x": [1.0]}},
+                ],
+            }
+        ],
+    }
+
+
+class Sphere(Problem):
+    def __init__(self):
+        self.lower, self.upper = np.full(2, -5.0), np.full(2, 5.0)
+
+    def evaluate(self, X):
+        return (X**2).sum(axis=1)
+
+
+def test_iohs_own_logger_writes_the_same_of_the_same_evaluations(manifest, tmp_path):
+    ioh = pytest.importorskip("ioh")
+    logger = ioh.logger.Analyzer(root=str(tmp_path), folder_name="theirs", algorithm_name="once + sampler")
+    logger.add_experiment_attribute("problem", "0")
+    theirs = ioh.wrap_problem(lambda x: float(np.square(x).sum()), "sphere", dimension=2, lb=-5, ub=5)
+    theirs.attach_logger(logger)
+    records = []
+    for seed in range(2):
+        meter = MeteredProblem(Sphere(), Budget(evaluations=30))
+        for x in np.random.default_rng(seed).uniform(-5, 5, (30, 2)):
+            theirs(x), meter(x)
+        theirs.reset()
+        records.append((Status.OK, (meter.trace,)))
+    logger.close()
+    export_ioh(written(manifest, tmp_path / "out", records, repetitions=2), tmp_path / "ours")
+
+    (path,), (their_path,) = ((tmp_path / which).glob("**/*.json") for which in ("ours", "theirs"))
+    ours, their = json.loads(path.read_text()), json.loads(their_path.read_text())
+    assert list(ours) == list(their)
+    (scenario,), (their_scenario,) = ours["scenarios"], their["scenarios"]
+    assert list(scenario) == list(their_scenario) and scenario["dimension"] == their_scenario["dimension"] == 2
+    assert list(ours["algorithm"]) == list(their["algorithm"]) and ours["attributes"] == their["attributes"]
+    for run, their_run in zip(scenario["runs"], their_scenario["runs"], strict=True):
+        assert run["best"] == their_run["best"] and run["evals"] == their_run["evals"] == 30
+        assert list(run) == list(their_run)
+    lines = (path.parent / scenario["path"]).read_text().split("\n")
+    their_lines = (their_path.parent / their_scenario["path"]).read_text().split("\n")
+    assert path.parent.parent.parent == their_path.parent.parent == tmp_path
+    assert lines[0] == their_lines[0] and len(lines) == len(their_lines)
+    for line, their_line in zip(lines, their_lines, strict=True):
+        assert line.split(" ")[0] == their_line.split(" ")[0]
+        if not line.startswith(("30 ", "e")) and line:  # the last evaluation's own value there, the best so far here
+            assert float(line.split(" ")[1]) == pytest.approx(float(their_line.split(" ")[1]), abs=1e-10)
+
+
+def test_every_problem_of_every_run_is_there_and_the_others_are_counted(several):
+    told = str(export_ioh(several))
+    assert told.endswith("export-ioh: 16 of 40 runs; left out: 16 failed, 4 skipped, 4 without a trace")
+    found = read_ioh(several.folder / "export-ioh")
+    runs = several.runs.set_index("run_id").drop(columns="evaluations")
+    traces = several.traces.join(runs, on="run_id").query("status == 'ok'")
+    keys = ["method", "scenario.dimension", "scenario.noise", "problem", "repetition", "evaluations"]
+    for key in ("scenario.dimension", "problem"):
+        found[key] = found[key].astype(int)
+    found["scenario.noise"] = found["scenario.noise"].astype(float)
+    assert (found["dimension"] == found["scenario.dimension"]).all()
+    ours, theirs = (frame.sort_values(keys)[[*keys, "value"]].reset_index(drop=True) for frame in (found, traces))
+    pd.testing.assert_frame_equal(ours, theirs, check_dtype=False, rtol=0, atol=0)
+    best = traces.groupby(["method", "scenario.dimension", "scenario.noise", "problem", "repetition"])["value"].min()
+    assert sorted(run["best"]["y"] for run in found["best"].drop_duplicates()) == sorted(best)
+    what = found.groupby("function")[["formulation", "scenario.dimension", "scenario.noise", "problem"]].nunique()
+    assert len(what) == 12 and (what == 1).all(axis=None)  # 4 points of one problem and of two
+
+
+def test_what_the_format_cannot_say_is_left_out_and_counted(manifest, tmp_path):
+    fine, late = trace((1, 2.0, 0.0), (5, 1.0, 0.5)), trace((1, np.inf, 0.0), (3, 1.0, 0.5))
+    records = [(Status.OK, (fine,)), (Status.OK, (fine, late)), (Status.TIMEOUT, (fine,)), (Status.OK, ())]
+    results = written(manifest, tmp_path / "out", records, repetitions=7)
+    told = str(export_ioh(results)).partition(": ")[2]
+    assert told == "1 of 7 runs; left out: 1 not finite at first, 1 timeout, 1 without a trace, 3 open"
+    assert read_ioh(tmp_path / "out" / "export-ioh").value.tolist() == [2.0, 1.0]
+    told = str(export_csv(results)).partition(": ")[2]
+    assert told == "3 of 7 runs; left out: 1 without a trace, 3 open"
+    table = pd.read_csv(tmp_path / "out" / "traces.csv")
+    assert table.value.tolist() == [2.0, 1.0, 2.0, 1.0, np.inf, 1.0, 2.0, 1.0]
+    assert table.status.tolist() == ["ok"] * 6 + ["timeout"] * 2
+
+
+def test_labels_that_differ_only_in_what_no_file_may_have_stay_apart(manifest, tmp_path):
+    labels = ["a/b: β", "a b", "A\\B", "../..", "…", "x" * 300]
+    extra = "[budget]\nevaluations = 10\n" + "".join(
+        f"[[method]]\nformulation = 'once'\nsolver = {{ kind = 'sampler', batch = {i + 1} }}\nlabel = '{label}'\n"
+        for i, label in enumerate(labels)
+    )
+    results = nfbench.run(load_study(manifest(extra, repetitions=1)), out=tmp_path / "out", jobs=0)
+    export_ioh(results)
+    found = {
+        folder.name: json.loads(next(folder.glob("*.json")).read_text())["algorithm"]["name"]
+        for folder in (tmp_path / "out" / "export-ioh").iterdir()
+    }
+    names = ["a_b", "a_b-2", "A_B-3", "_", "_-2", "x" * 80]
+    assert found == dict(zip(names, labels, strict=True))
+
+
+def test_the_table_is_the_traces_with_what_they_belong_to(several, monkeypatch):
+    export_csv(several)
+    whole = (several.folder / "traces.csv").read_bytes()
+    table = pd.read_csv(several.folder / "traces.csv")
+    added = ["method", "repetition", "scenario.dimension", "scenario.noise", "status"]
+    assert list(table) == ["run_id", *added[:-1], "status", "problem", "evaluations", "seconds", "value", "x_0", "x_1"]
+    assert {line.count(b",") for line in whole.splitlines()} == {len(table.columns) - 1}  # not ragged
+    pd.testing.assert_frame_equal(table.drop(columns=added), several.traces, check_dtype=False, rtol=0, atol=0)
+    runs = several.runs.set_index("run_id")[added]
+    pd.testing.assert_frame_equal(table[added], runs.loc[table.run_id].reset_index(drop=True), check_dtype=False)
+    monkeypatch.setattr(nfbench.results.store, "_PAGE", 3)
+    export_csv(several, several.folder / "by threes" / "again.csv")
+    assert (several.folder / "by threes" / "again.csv").read_bytes() == whole
+
+
+def test_traces_are_unpacked_one_run_at_a_time(several, monkeypatch):
+    unpacked = []
+    monkeypatch.setattr(nfbench.results.store, "_unpacked", lambda blob: unpacked.append(blob) or ())
+    with Store(several.folder) as store:
+        runs = store.traced_runs()
+        next(runs), next(runs)
+        assert len(unpacked) == 2
+
+
+def test_text_and_lists_that_were_swept_are_kept(manifest, tmp_path):
+    extra = BASIC + '[sweep]\nnames = [["a,b", "c"], ["10"]]\n'
+    results = nfbench.run(load_study(manifest(extra, repetitions=1)), out=tmp_path / "out", jobs=0)
+    export_csv(results), export_ioh(results)
+    swept = ['["a,b", "c"]', '["10"]']
+    assert pd.read_csv(tmp_path / "out" / "traces.csv")["scenario.names"].unique().tolist() == swept
+    found = read_ioh(tmp_path / "out" / "export-ioh")["scenario.names"].unique()
+    assert [eval(text) for text in found] == swept  # as iohinspector does
+
+
+def test_it_works_while_the_study_is_written(several, manifest):
+    with Store(several.folder, write=True) as store:
+        exported = export_csv(several)
+        store.forget([Status.FAILED])
+        assert export_ioh(several).left_out == {"skipped": 4, "without a trace": 4, "open": 16}
+    assert exported.runs == 32
+
+
+def test_nothing_is_overwritten_and_nothing_left_half(several, monkeypatch):
+    before = sorted(several.folder.iterdir())
+
+    def stop(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("nfbench.results.export.Exported.close", stop)
+    for export in (export_ioh, export_csv):
+        with pytest.raises(KeyboardInterrupt):
+            export(several)
+    assert sorted(several.folder.iterdir()) == before
+    for export, name in ((export_ioh, "export-ioh"), (export_csv, "traces.csv")):
+        (several.folder / name).write_text("mine")
+        with pytest.raises(NfbenchError, match=f"{name} exists; remove it, or choose another place with --out"):
+            export(several)
+        assert (several.folder / name).read_text() == "mine"
+        with pytest.raises(StoreError, match=r"mine/\w+: Not a directory|mine: Not a directory"):
+            export(several, several.folder / name / "mine" / "below")
+
+
+def test_a_folder_without_results_is_told(manifest, tmp_path):
+    for export in (export_ioh, export_csv):
+        with pytest.raises(StoreError, match="expected a results folder with"):
+            export(nfbench.Results(tmp_path))
+    results = written(manifest, tmp_path / "new", [])
+    failed = written(manifest, tmp_path / "failed", [(Status.CRASHED, ())])
+    for export in (export_ioh, export_csv):
+        with pytest.raises(NfbenchError, match="no run is finished yet"):
+            export(results)
+        with pytest.raises(NfbenchError, match=r"no run with a trace; .* left out: 1 crashed, 2 open"):
+            export(failed)
+    assert not [path for path in tmp_path.glob("*/*") if path.name not in ("runs.sqlite", ".lock")]
+
+
+def test_the_command_says_what_it_wrote(several, monkeypatch, capsys):
+    def nfbench_export(*arguments):
+        monkeypatch.setattr(sys, "argv", ["nfbench", "export", str(several.folder), *arguments])
+        with pytest.raises(SystemExit) as ended:
+            main()
+        return ended.value.code, *capsys.readouterr()
+
+    out = several.folder.parent / "x" / "y"
+    told = f"{out}: 16 of 40 runs; left out: 16 failed, 4 skipped, 4 without a trace\n"
+    assert nfbench_export("--to", "ioh", "--out", str(out)) == (0, told, "")
+    assert len(list(out.glob("*/*.json"))) == 12
+    code, _, told = nfbench_export("--to", "ioh", "--out", str(out))
+    assert code == 2 and "y exists; remove it, or choose another place with --out" in told
+    code, _, told = nfbench_export("--to", "coco")
+    assert code == 2 and all(name in told for name in ("'coco'", "'ioh'", "'csv'"))
