@@ -11,6 +11,8 @@ from numpy import ndarray
 
 from nfbench import Ge, Le, MeteredProblem, Solver, SolverInfo, Tune
 
+from ._adaptive import binomial, midpoint
+
 __all__ = ["CrowdingDE"]
 
 
@@ -18,17 +20,17 @@ __all__ = ["CrowdingDE"]
 class CrowdingDE(Solver):
     """DE/rand/1/bin in which a trial vector competes with the individual nearest to it, not with its parent.
 
-    So each minimum keeps the individuals around it. Distances are Euclidean in widths of the box. The trial vectors of
-    a generation are made and evaluated together and then compete one by one.
+    So each minimum keeps the individuals around it. Distances are Euclidean, with each coordinate in units of the width
+    of the box. The trial vectors of a generation are made and evaluated together and then compete one by one.
 
-    population: N_p, individuals; each generation spends as many evaluations.
+    population: N_p, the number of individuals. Each generation spends N_p evaluations.
     F: scaling factor of the difference vector, in [0, 2].
     CR: C_r, crossover probability, in [0, 1].
-    neighbors: m, the individuals nearest to the parent, without it, among which the mutation finds r_1, r_2, r_3 (Qu,
-        Suganthan & Liang 2012: neighborhood mutation, NCDE, which sharpens many minima sooner; theirs is 5 to 20);
-        None: all.
+    neighbors: m, the number of other individuals nearest to the parent from which r_1, r_2, r_3 are chosen. This is the
+        neighborhood mutation of Qu, Suganthan & Liang 2012 (NCDE), which refines many minima sooner; they use 5 to 20.
+        None: all others.
 
-    A coordinate outside the box comes back halfway between the bound it passed and its parent's.
+    A coordinate outside the box is set halfway between the bound that it passed and its parent's coordinate.
     """
 
     population: Annotated[int, Ge(4), Tune(20, 400, log=True)] = 100
@@ -56,23 +58,20 @@ class CrowdingDE(Solver):
         problem.keep_population(x, f)
         while True:
             r1, r2, r3 = self._partners(problem.to_unit(x), rng)
-            v = x[r1] + self.F * (x[r2] - x[r3])
-            v = np.where(v < problem.lower, 0.5 * (problem.lower + x), v)
-            v = np.where(v > problem.upper, 0.5 * (problem.upper + x), v)
-            crossed = rng.random((N, n)) <= self.CR
-            crossed[np.arange(N), rng.integers(n, size=N)] = True
-            u = np.where(crossed, v, x)
+            v = x[r1] + self.F * (x[r2] - x[r3])  # v_i = x_r1 + F·(x_r2 − x_r3)
+            v = midpoint(v, x, problem)
+            u = binomial(x, v, self.CR, rng)  # u_ij = v_ij if rand_j ≤ C_r or j = j_rand, else x_ij
             compete(x, f, u, problem.evaluate(u), problem.upper - problem.lower)
 
     def _partners(self, U: Float[ndarray, "N n"], rng: np.random.Generator) -> Int[ndarray, "3 N"]:
-        """r_1, r_2, r_3 of each individual, distinct and others than itself, every choice equally likely."""
+        """r_1, r_2, r_3 of each individual, distinct and other than i; every choice is equally likely."""
         N = len(U)
         m = self.neighbors or N - 1
         if m == N - 1:
             others = (np.arange(N)[:, None] + np.arange(1, N)) % N
         else:
             distance = squared_distances(U, U)
-            np.fill_diagonal(distance, -1.0)  # itself comes first
+            np.fill_diagonal(distance, -1.0)  # so that each individual comes first itself
             others = np.argpartition(distance, m, axis=1)[:, : m + 1]
             others = others[others != np.arange(N)[:, None]].reshape(N, m)
         places = np.argsort(rng.random((N, m)), axis=1)[:, :3]

@@ -20,8 +20,8 @@ __all__ = ["DE"]
 BLOCK = 16  # generations whose random numbers are drawn together: small enough to stay in the cache
 RULES = ("clip", "midpoint", "reflect", "resample")
 
-BEST, SELF = -1, -2
-MUTATIONS = {  # base and differences, in r_1, r_2, … (0, 1, …), the best and the target vector
+BEST, SELF = -2, -1  # the last two columns of the parents
+MUTATIONS = {  # base and differences: r_1, r_2, … (0, 1, …), the best and the target vector
     "rand/1": (0, 1, 2),
     "best/1": (BEST, 0, 1),
     "rand/2": (0, 1, 2, 3, 4),
@@ -30,38 +30,46 @@ MUTATIONS = {  # base and differences, in r_1, r_2, … (0, 1, …), the best an
     "rand-to-best/1": (0, BEST, 0, 1, 2),
 }
 
+Population: TypeAlias = Float[ndarray, "N n"]
+Values: TypeAlias = Float[ndarray, " N"]
+Bound: TypeAlias = Float[ndarray, " n"]
 Draws: TypeAlias = Float[ndarray, "N draws"]
+Parents: TypeAlias = Int[ndarray, "N R+2"]
+Terms: TypeAlias = Int[ndarray, " 1+2d"]
 
 
 @dataclass(frozen=True)
 class DE(Solver):
-    """Differential evolution with synchronous generations, by default DE/rand/1/bin.
+    """Differential evolution with synchronous generations; the default is DE/rand/1/bin.
 
-    population: N_p, individuals; each generation spends as many evaluations.
-    strategy: mutation/number of differences/crossover. The mutant v of target vector x_i, with the best x_b,
-        which may be x_i or one of the x_r, and distinct r_1, r_2, … other than i:
+    population: N_p, the number of individuals. Each generation spends N_p evaluations.
+    strategy: mutation/number of differences/crossover. The mutant v of the target vector x_i is one of
         rand/1: x_r1 + F(x_r2 − x_r3); rand/2: x_r1 + F(x_r2 − x_r3) + F(x_r4 − x_r5);
         best/1: x_b + F(x_r1 − x_r2); best/2: x_b + F(x_r1 − x_r2) + F(x_r3 − x_r4);
         current-to-best/1: x_i + F(x_b − x_i) + F(x_r1 − x_r2);
-        rand-to-best/1: x_r1 + F(x_b − x_r1) + F(x_r2 − x_r3), as of Price, Storn & Lampinen 2005; elsewhere
-        current-to-best/1 goes by this name.
-        Of v the trial vector takes coordinate j_rand and, with "bin", each other one whose rand_j ≤ C_r; with "exp",
-        those that follow j_rand cyclically, up to the first whose rand_j > C_r.
+        rand-to-best/1: x_r1 + F(x_b − x_r1) + F(x_r2 − x_r3), as in Price, Storn & Lampinen 2005; other authors use
+        this name for current-to-best/1.
+        Here r_1, r_2, … are distinct and differ from i, and x_b is the best individual, which may be x_i or one of the
+        x_r. The trial vector always takes coordinate j_rand from v. With "bin" it also takes every coordinate whose
+        rand_j ≤ C_r; with "exp" it takes the coordinates that follow j_rand cyclically, as long as rand_j ≤ C_r. It
+        takes the other coordinates from x_i.
     F: scaling factor of the difference vector, in [0, 2].
     CR: C_r, crossover probability, in [0, 1].
-    bounds: what becomes of a mutant's coordinate outside the box, on which the original is silent. "clip": the bound it
-        passed; "midpoint": halfway between that bound and the target vector's coordinate; "reflect": mirrored at the
-        bound, as often as needed; "resample": uniform in the box.
-    generations: G, the initial population being the first, so G·N_p evaluations in all; None: until the budget ends.
+    bounds: how a coordinate of the mutant outside the box is repaired; the paper does not say. "clip": set to the bound
+        that it passed; "midpoint": set halfway between that bound and the target vector's coordinate; "reflect":
+        mirrored at the bounds as often as needed; "resample": redrawn uniformly in the box.
+    generations: G, including the initial population, so that a run takes G·N_p evaluations; None: until the budget
+        ends.
 
-    The initial population is uniform in the box. The r are distinct and also differ from i (Storn and Price's
-    condition), each such choice equally likely.
+    The initial population is uniform in the box. Every choice of distinct r_1, r_2, … other than i, which is Storn and
+    Price's condition, is equally likely.
 
-    Draw order, from which another implementation can be fed the same numbers: ``random((N, n))`` for the population,
-    then for every block of 16 generations ``random((16, N, R + 1 + n))``, or with "resample" ``(16, N, R + 1 + 2n)``, R
-    being how many r the strategy has, 3 by default: for each individual one number each for r_1, …, r_R and j_rand, n
-    for rand_j, and n for resampled coordinates. The first R deal individual i cards: from the list i+1, i+2, …, i+N-1
-    (mod N), and what is left of it, each takes the card at ⌊number · cards left⌋, counted from 0.
+    The order of the random numbers is documented so that another implementation can use the same ones. The initial
+    population takes ``random((N, n))``. Each block of 16 generations then takes ``random((16, N, R + 1 + n))``, or
+    ``random((16, N, R + 1 + 2n))`` with "resample", where R is the number of r in the strategy, 3 by default. The
+    numbers of one individual are: one for each of r_1, …, r_R; one for j_rand, which is ⌊number · n⌋; n for rand_j; and
+    n for resampled coordinates. The r are dealt like cards: from the list i+1, i+2, …, i+N-1 (mod N), each r in turn
+    removes the card at position ⌊number · cards left⌋, counted from 0.
     """
 
     population: Annotated[int, Ge(4), Tune(10, 200, log=True)] = 50
@@ -87,7 +95,7 @@ class DE(Solver):
     info: ClassVar[SolverInfo] = SolverInfo(batched=True, reference="Storn & Price 1997, doi:10.1023/A:1008202821328")
 
     def validate(self) -> None:
-        least = self._vectors().max() + 2
+        least = self._terms().max() + 2
         if self.population < least:
             raise ValueError(f"population: expected at least {least} for {self.strategy}, got {self.population}")
 
@@ -95,21 +103,27 @@ class DE(Solver):
         _warm_up()
 
     def minimize(self, problem: MeteredProblem, rng: np.random.Generator) -> None:
-        N, n = self.population, problem.dimension
-        rule, vectors, exponential = RULES.index(self.bounds), self._vectors(), self.strategy.endswith("exp")
+        N, n, F, CR = self.population, problem.dimension, self.F, self.CR
+        lower, upper, rule = problem.lower, problem.upper, RULES.index(self.bounds)
+        terms = self._terms()
+        R = int(terms.max()) + 1  # how many r the strategy has
+        crossover = exponential if self.strategy.endswith("exp") else binomial
+        parents = np.empty((N, R + 2), np.int64)
         x = problem.from_unit(rng.random((N, n)))
+        v, u = np.empty_like(x), np.empty_like(x)
         f = problem.evaluate(x)
-        problem.keep_population(x, f)
         best = int(f.argmin())
-        u = np.empty_like(x)
+        problem.keep_population(x, f)
         more = None if self.generations is None else self.generations - 1
-        for draws in islice(self._draws(rng, vectors.max() + 1, n), more):
-            make_trials(x, best, vectors, exponential, self.F, self.CR, rule, problem.lower, problem.upper, draws, u)
-            fu = problem.evaluate(u)
-            best = select(x, f, u, fu)
+        for draws in islice(self._draws(rng, R, n), more):
+            choose(draws, best, parents)  # r_1 ≠ r_2 ≠ r_3 ≠ i
+            mutate(x, parents, terms, F, v)  # v_i = x_r1 + F·(x_r2 − x_r3)  (1)
+            crossover(x, v, CR, draws, R, u)  # u_ij = v_ij if rand_j ≤ C_r or j = j_rand, else x_ij  (2)
+            repair(u, x, lower, upper, rule, draws)
+            best = select(x, f, u, problem.evaluate(u))  # (3)
 
-    def _vectors(self) -> Int[ndarray, " 2d+1"]:
-        """Base and differences of the mutation."""
+    def _terms(self) -> Terms:
+        """The columns of the parents that the mutation uses: the base, then two for each difference."""
         return np.array(MUTATIONS[self.strategy.rpartition("/")[0]])
 
     def _draws(self, rng: np.random.Generator, R: int, n: int) -> Iterator[Draws]:
@@ -120,86 +134,84 @@ class DE(Solver):
 
 
 @compiled()
-def make_trials(
-    x: Float[ndarray, "N n"],
-    best: int,
-    vectors: Int[ndarray, " 2d+1"],
-    exponential: bool,
-    F: float,
-    CR: float,
-    rule: int,
-    lower: Float[ndarray, " n"],
-    upper: Float[ndarray, " n"],
-    draws: Draws,
-    u: Float[ndarray, "N n"],
-) -> None:
-    """The trial vectors ``u``, one for each target vector."""
-    N, n = x.shape
-    R = vectors.max() + 1
-    r, a = np.empty(5, np.int64), np.zeros(5, np.int64)
-    two = len(vectors) == 5
+def choose(draws: Draws, best: int, parents: Parents) -> None:
+    """Choose r_1, …, r_R, distinct and other than i, for each individual i; add ``best`` and i as the last columns."""
+    N, R = len(parents), parents.shape[1] - 2
     for i in range(N):
-        r[0], r[1], r[2] = pick_three(i, N, draws[i])  # of which two may do
-        for c in range(3, R):
-            r[c] = pick_next(i, N, draws[i, c], r[:c])
-        for d, vector in enumerate(vectors):
-            a[d] = r[vector] if vector >= 0 else best if vector == BEST else i
-        base, plus, minus, plus2, minus2 = a
-        j_rand = int(draws[i, R] * n)
-        run = run_length(j_rand, draws[i, R + 1 : R + 1 + n], CR) if exponential else 0
-        for j in range(n):
-            v = x[base, j] + F * (x[plus, j] - x[minus, j])  # mutation
-            if two:
-                v += F * (x[plus2, j] - x[minus2, j])
-            if exponential:
-                crossed = j - j_rand + (n if j < j_rand else 0) < run
-            else:
-                crossed = (draws[i, R + 1 + j] <= CR) | (j == j_rand)
-            u[i, j] = v if crossed else x[i, j]  # crossover
-            if not lower[j] <= u[i, j] <= upper[j]:
-                u[i, j] = bring_back(v, x[i, j], lower[j], upper[j], rule, draws[i, -n + j])
+        # steps k from i, each moved past those taken before in ascending order; N stands for none
+        k1 = 1 + int(draws[i, 0] * (N - 1))
+        k2 = 1 + int(draws[i, 1] * (N - 2))
+        k2 += k2 >= k1
+        parents[i, 0], parents[i, 1] = after(i, k1, N), after(i, k2, N)
+        s1, s2, s3, s4 = min(k1, k2), max(k1, k2), N, N
+        for c in range(2, R):
+            k = 1 + int(draws[i, c] * (N - 1 - c))
+            k += k >= s1
+            k += k >= s2
+            k += k >= s3
+            k += k >= s4
+            parents[i, c] = after(i, k, N)
+            s1, k = min(s1, k), max(s1, k)
+            s2, k = min(s2, k), max(s2, k)
+            s3, s4 = min(s3, k), max(s3, k)
+        parents[i, R], parents[i, R + 1] = best, i
 
 
 @compiled()
-def pick_three(i: int, N: int, draws: Float[ndarray, " draws"]) -> tuple[int, int, int]:
-    """Three distinct individuals other than i, as steps k from it, each moved past the ones taken before."""
-    k1, k2, k3 = 1 + int(draws[0] * (N - 1)), 1 + int(draws[1] * (N - 2)), 1 + int(draws[2] * (N - 3))
-    k2 += k2 >= k1
-    k3 += k3 >= min(k1, k2)
-    k3 += k3 >= max(k1, k2)
-    r1, r2, r3 = i + k1, i + k2, i + k3
-    return r1 - N * (r1 >= N), r2 - N * (r2 >= N), r3 - N * (r3 >= N)
-
-
-@compiled()
-def pick_next(i: int, N: int, draw: float, taken: Int[ndarray, " c"]) -> int:
-    """An individual other than i and those taken."""
-    c = len(taken)
-    k, passed = 1 + int(draw * (N - 1 - c)), 0
-    for _ in range(c):
-        least = N  # the least step taken that is not passed yet
-        for r in taken:
-            step = r - i + N * (r < i)
-            if passed < step < least:
-                least = step
-        k += k >= least
-        passed = least
+def after(i: int, k: int, N: int) -> int:
+    """The individual k steps after i, cyclically."""
     return i + k - N * (i + k >= N)
 
 
 @compiled()
-def run_length(j_rand: int, rand: Float[ndarray, " n"], CR: float) -> int:
-    """How many coordinates exponential crossover takes, j_rand being the first."""
-    n = len(rand)
-    length = 1
-    while length < n and rand[(j_rand + length) % n] <= CR:
-        length += 1
-    return length
+def mutate(x: Population, parents: Parents, terms: Terms, F: float, v: Population) -> None:
+    """The mutants ``v``: the base plus F times each difference."""
+    N, n = x.shape
+    for i in range(N):
+        base, plus, minus = parents[i, terms[0]], parents[i, terms[1]], parents[i, terms[2]]
+        for j in range(n):
+            v[i, j] = x[base, j] + F * (x[plus, j] - x[minus, j])
+        if len(terms) == 5:
+            plus, minus = parents[i, terms[3]], parents[i, terms[4]]
+            for j in range(n):
+                v[i, j] += F * (x[plus, j] - x[minus, j])
+
+
+@compiled()
+def binomial(x: Population, v: Population, CR: float, draws: Draws, R: int, u: Population) -> None:
+    """The trial vectors ``u``: u_ij = v_ij if rand_j ≤ C_r or j = j_rand, else x_ij."""
+    N, n = x.shape
+    for i in range(N):
+        j_rand = int(draws[i, R] * n)
+        for j in range(n):
+            u[i, j] = v[i, j] if (draws[i, R + 1 + j] <= CR) | (j == j_rand) else x[i, j]
+
+
+@compiled()
+def exponential(x: Population, v: Population, CR: float, draws: Draws, R: int, u: Population) -> None:
+    """The trial vectors ``u``: u_ij = v_ij for L successive j from j_rand on, cyclically, else x_ij."""
+    N, n = x.shape
+    for i in range(N):
+        j, crossed = int(draws[i, R] * n), True  # j_rand is always crossed
+        for _ in range(n):
+            u[i, j] = v[i, j] if crossed else x[i, j]
+            j = after(j, 1, n)
+            crossed &= draws[i, R + 1 + j] <= CR
+
+
+@compiled()
+def repair(u: Population, x: Population, lower: Bound, upper: Bound, rule: int, draws: Draws) -> None:
+    """Bring coordinates outside the box back into it by one of RULES."""
+    N, n = u.shape
+    for i in range(N):
+        for j in range(n):
+            if not lower[j] <= u[i, j] <= upper[j]:
+                u[i, j] = bring_back(u[i, j], x[i, j], lower[j], upper[j], rule, draws[i, -n + j])
 
 
 @compiled()
 def bring_back(v: float, target: float, lower: float, upper: float, rule: int, draw: float) -> float:
-    """A coordinate outside the box, back in it by one of RULES."""
+    """One coordinate outside the box, brought back by one of RULES."""
     bound = lower if v < lower else upper
     if rule == 0:
         v = bound
@@ -214,10 +226,8 @@ def bring_back(v: float, target: float, lower: float, upper: float, rule: int, d
 
 
 @compiled()
-def select(
-    x: Float[ndarray, "N n"], f: Float[ndarray, " N"], u: Float[ndarray, "N n"], fu: Float[ndarray, " N"]
-) -> int:
-    """A trial vector that is no worse takes its target's place. Returns the best individual, of equals the first."""
+def select(x: Population, f: Values, u: Population, fu: Values) -> int:
+    """A trial vector that is no worse replaces its target. Return the index of the best, the first among equals."""
     best = 0
     for i in range(len(f)):
         if fu[i] <= f[i]:
@@ -229,15 +239,20 @@ def select(
     return best
 
 
-_VECTOR, _MATRIX, _INDICES = types.float64[::1], types.float64[:, ::1], types.int64[::1]
+_VECTOR, _MATRIX, _INDEX = types.float64[::1], types.float64[:, ::1], types.int64
+_PARENTS, _TERMS = types.int64[:, ::1], types.int64[::1]
 _BOUND = types.Array(types.float64, 1, "C", readonly=True)
 
 
 @cache
 def _warm_up() -> None:
-    trials = _MATRIX, types.int64, _INDICES, types.boolean, *(types.float64,) * 2, types.int64, _BOUND, _BOUND
+    crossover = _MATRIX, _MATRIX, types.float64, _MATRIX, _INDEX, _MATRIX
     signatures = [
         (select, (_MATRIX, _VECTOR, _MATRIX, _VECTOR)),
-        (make_trials, (*trials, _MATRIX, _MATRIX)),
+        (choose, (_MATRIX, _INDEX, _PARENTS)),
+        (mutate, (_MATRIX, _PARENTS, _TERMS, types.float64, _MATRIX)),
+        (binomial, crossover),
+        (exponential, crossover),
+        (repair, (_MATRIX, _MATRIX, _BOUND, _BOUND, _INDEX, _MATRIX)),
     ]
-    load_kernels(signatures, "compiling differential evolution (once a machine, some 3 s)")
+    load_kernels(signatures, "compiling differential evolution (once per machine, about 3 s)")

@@ -9,28 +9,19 @@ import numpy as np
 
 from nfbench import Ge, Gt, Le, MeteredProblem, Solver, SolverInfo, Tune
 
-from ._adaptive import (
-    Archive,
-    best_count,
-    binomial,
-    current_to_pbest,
-    draw_crossover_rates,
-    draw_factors,
-    lehmer,
-    midpoint,
-)
+from ._adaptive import Archive, best_count, draw_crossover_rates, draw_factors, lehmer, trial_vectors
 
 __all__ = ["JADE"]
 
 
 @dataclass(frozen=True)
 class JADE(Solver):
-    """DE/current-to-pbest/1/bin whose F and CR adapt to what succeeded; "eq." are the paper's.
+    """DE/current-to-pbest/1/bin whose F and CR adapt to the values that succeeded; equation numbers are the paper's.
 
-    population: NP; None: the paper's 30 for n ≤ 10, 100 for n ≤ 30, 400 beyond.
-    p: the greediness, the share of the population that counts as best; at least two do.
+    population: NP; None: the paper's 30 for n ≤ 10, 100 for n ≤ 30 and 400 above.
+    p: the greediness: x_pbest is one of the 100p % best individuals, of which there are at least two.
     c: the rate of adaptation; 1/c is the life span of a successful parameter in generations.
-    archive: keep up to NP parents that were replaced, to draw differences from.
+    archive: keep up to NP parents that were replaced and use them in differences.
     """
 
     population: Annotated[int, Ge(4), Tune(10, 200, log=True)] | None = None
@@ -49,19 +40,18 @@ class JADE(Solver):
         A = Archive(NP if self.archive else 0, n)
         x = problem.from_unit(rng.random((NP, n)))
         f = problem.evaluate(x)
-        best = best_count(self.p, NP)
         problem.keep_population(x, f)
+        best = best_count(self.p, NP)
         while True:
-            CR = draw_crossover_rates(np.full(NP, mu_CR), rng)
-            F = draw_factors(np.full(NP, mu_F), rng)
+            CR = draw_crossover_rates(np.full(NP, mu_CR), rng)  # (8)
+            F = draw_factors(np.full(NP, mu_F), rng)  # (10)
             pbest = np.argsort(f, kind="stable")[rng.integers(best, size=NP)]
-            v = midpoint(current_to_pbest(x, pbest, F, A.members, rng), x, problem)  # eq. 6 and 7
-            u = binomial(x, v, CR, rng)
+            u = trial_vectors(x, pbest, F, CR, A.members, problem, rng)  # (6), with the archive (7)
             fu = problem.evaluate(u)
-
-            won = fu < f
-            A.add_all(x[won], rng)
-            x[won], f[won] = u[won], fu[won]
-            if won.any():
-                mu_CR = (1 - self.c) * mu_CR + self.c * CR[won].mean()  # eq. 9
-                mu_F = (1 - self.c) * mu_F + self.c * lehmer(F[won], np.ones(won.sum()))  # eq. 11 and 12
+            better = fu < f
+            A.add_all(x[better], rng)
+            x[better], f[better] = u[better], fu[better]
+            if better.any():
+                S_F, S_CR = F[better], CR[better]
+                mu_CR = (1 - self.c) * mu_CR + self.c * S_CR.mean()  # (9)
+                mu_F = (1 - self.c) * mu_F + self.c * lehmer(S_F, np.ones(len(S_F)))  # (11), (12)

@@ -10,38 +10,33 @@ import numpy as np
 from nfbench import Ge, Gt, Le, MeteredProblem, Solver, SolverInfo, Tune
 
 from ._adaptive import (
-    Archive,
+    N_MIN,
     Memory,
+    Population,
     best_count,
-    binomial,
-    current_to_pbest,
     draw_crossover_rates,
     draw_factors,
-    lehmer,
+    lehmer_means,
     maximum_evaluations,
-    midpoint,
     planned_size,
-    shares,
     spent,
 )
 
 __all__ = ["LSHADE"]
 
-N_MIN = 4  # what current-to-pbest/1 needs
-
 
 @dataclass(frozen=True)
 class LSHADE(Solver):
-    """SHADE whose population shrinks linearly over the evaluations it has; the paper's settings are the defaults.
+    """SHADE with a population that shrinks linearly over its evaluations; the paper's settings are the defaults.
 
-    population: N_init, individuals at the start; None: 18·n.
-    archive_rate: r_arc, the archive's size over the population's.
-    p: the share of the population that counts as best; at least two individuals do.
-    memory: H, the means remembered.
-    terminal: what becomes of a mean of CR that is the terminal value ⊥, CR = 0: "kept" for ever, as the paper says, or
-        "overwritten" in its turn, as the authors' program in C++ does.
-    evaluations: MAX_NFE, those over which the population shrinks to 4, where it stays; None: the budget's. Where the
-        budget has no limit in evaluations either, the problem is declined.
+    population: N_init, the number of individuals at the start; None: 18·n.
+    archive_rate: r_arc, the size of the archive divided by that of the population.
+    p: the greediness: x_pbest is one of the 100p % best individuals, of which there are at least two.
+    memory: H, the number of means in the memory.
+    terminal: how a mean of CR is treated that has become the terminal value ⊥, which stands for CR = 0: "kept" for
+        ever, as in the paper, or "overwritten" in its turn, as in the authors' C++ program.
+    evaluations: MAX_NFE, the evaluations over which the population shrinks to 4, where it stays; None: those of the
+        budget. The problem is declined if the budget does not limit evaluations either.
     """
 
     population: Annotated[int, Ge(4), Tune(10, 400, log=True)] | None = None
@@ -56,35 +51,19 @@ class LSHADE(Solver):
     )
 
     def minimize(self, problem: MeteredProblem, rng: np.random.Generator) -> None:
-        n = problem.dimension
         max_nfe = maximum_evaluations(problem, self.evaluations)
-        N_init = N = self.population or 18 * n
+        N_init = self.population or 18 * problem.dimension
         M = Memory(self.memory, F=0.5, CR=0.5)
-        A = Archive(round(self.archive_rate * N), n)
-        x = problem.from_unit(rng.random((N, n)))
-        f = problem.evaluate(x)
+        P = Population(N_init, self.archive_rate, problem, rng)
         while True:
-            problem.keep_population(x, f)
+            N = len(P)
             r = rng.integers(self.memory, size=N)
-            CR = draw_crossover_rates(M.CR[r], rng)
-            F = draw_factors(M.F[r], rng)
-            best = best_count(self.p, N)
-            pbest = np.argsort(f, kind="stable")[rng.integers(best, size=N)]
-            v = midpoint(current_to_pbest(x, pbest, F, A.members, rng), x, problem)
-            u = binomial(x, v, CR, rng)
-            fu = problem.evaluate(u)
-
-            won = fu < f
-            A.add(x[won], rng)
-            if won.any():
-                w = shares(f[won] - fu[won])
+            CR = draw_crossover_rates(M.CR[r], rng)  # randn(M_CR,r, 0.1)
+            F = draw_factors(M.F[r], rng)  # randc(M_F,r, 0.1)
+            pbest = P.ranking()[rng.integers(best_count(self.p, N), size=N)]
+            S_F, S_CR, gain = P.evolve(pbest, F, CR)
+            if len(gain):
+                mean_F, mean_CR = lehmer_means(S_F, S_CR, gain)
                 locked = self.terminal == "kept" and np.isnan(M.CR[M.k])
-                terminal = locked or CR[won].max() == 0.0
-                M.overwrite(F=lehmer(F[won], w), CR=np.nan if terminal else lehmer(CR[won], w))
-            as_good = fu <= f
-            x[as_good], f[as_good] = u[as_good], fu[as_good]
-
-            N = planned_size(N_init, N_MIN, spent(problem, max_nfe))
-            kept = np.sort(np.argsort(f, kind="stable")[:N])  # the worst go
-            x, f = x[kept], f[kept]
-            A.resize(round(self.archive_rate * N), rng)
+                M.overwrite(F=mean_F, CR=np.nan if locked else mean_CR)
+            P.shrink(planned_size(N_init, N_MIN, spent(problem, max_nfe)))

@@ -9,27 +9,17 @@ import numpy as np
 
 from nfbench import Ge, MeteredProblem, Solver, SolverInfo, Tune
 
-from ._adaptive import (
-    Archive,
-    Memory,
-    binomial,
-    current_to_pbest,
-    draw_crossover_rates,
-    draw_factors,
-    lehmer,
-    midpoint,
-    shares,
-)
+from ._adaptive import Memory, Population, draw_crossover_rates, draw_factors, lehmer, shares
 
 __all__ = ["SHADE"]
 
 
 @dataclass(frozen=True)
 class SHADE(Solver):
-    """JADE with a memory of means, each of the successes of one generation weighted by what they gained.
+    """JADE with a memory of means of F and CR; each is over the successes of one generation, weighted by their gains.
 
-    population: N, also the size of the archive.
-    memory: H, the means remembered.
+    population: N, the number of individuals, and also the size of the archive.
+    memory: H, the number of means in the memory.
     """
 
     population: Annotated[int, Ge(4), Tune(10, 200, log=True)] = 100
@@ -40,27 +30,17 @@ class SHADE(Solver):
     )
 
     def minimize(self, problem: MeteredProblem, rng: np.random.Generator) -> None:
-        N, n = self.population, problem.dimension
+        N = self.population
         M = Memory(self.memory, F=0.5, CR=0.5)
-        A = Archive(N, n)
-        x = problem.from_unit(rng.random((N, n)))
-        f = problem.evaluate(x)
-        problem.keep_population(x, f)
+        P = Population(N, 1.0, problem, rng)
         while True:
             r = rng.integers(self.memory, size=N)
-            CR = draw_crossover_rates(M.CR[r], rng)
-            F = draw_factors(M.F[r], rng)
-            p = rng.uniform(min(2 / N, 0.2), 0.2, size=N)  # each individual has its own greediness
+            CR = draw_crossover_rates(M.CR[r], rng)  # randn(M_CR,r, 0.1)
+            F = draw_factors(M.F[r], rng)  # randc(M_F,r, 0.1)
+            p = rng.uniform(min(2 / N, 0.2), 0.2, size=N)  # p_i = rand[2/N, 0.2]
             best = np.maximum((p * N + 0.5).astype(int), 2)
-            pbest = np.argsort(f, kind="stable")[rng.integers(best)]
-            v = midpoint(current_to_pbest(x, pbest, F, A.members, rng), x, problem)
-            u = binomial(x, v, CR, rng)
-            fu = problem.evaluate(u)
-
-            won = fu < f
-            A.add(x[won], rng)
-            if won.any():
-                w = shares(f[won] - fu[won])
-                M.overwrite(F=lehmer(F[won], w), CR=float(w @ CR[won]))
-            as_good = fu <= f
-            x[as_good], f[as_good] = u[as_good], fu[as_good]
+            pbest = P.ranking()[rng.integers(best)]
+            S_F, S_CR, gain = P.evolve(pbest, F, CR)
+            if len(gain):
+                w = shares(gain)
+                M.overwrite(F=lehmer(S_F, w), CR=float(w @ S_CR))  # mean_WL(S_F), mean_WA(S_CR)

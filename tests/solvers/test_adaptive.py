@@ -4,17 +4,22 @@ import math
 
 import numpy as np
 import pytest
-from bench_problems import Formula, bowl
+from bench_problems import Formula, bowl, ramp
 from numpy.testing import assert_allclose, assert_array_equal
 
-from nfbench import Budget, OptionError, Status, minimize
+from nfbench import Budget, MeteredProblem, OptionError, Status, minimize
 from nfbench.solvers._adaptive import (
     Archive,
+    Memory,
+    Population,
     best_count,
+    binomial,
     current_to_pbest,
     draw_crossover_rates,
     draw_factors,
     lehmer,
+    lehmer_means,
+    midpoint,
     planned_size,
     shares,
 )
@@ -28,13 +33,13 @@ BOTTOM = None  # the terminal value ⊥
 
 
 def rates(mean, rng):
-    """Normal(mean, 0.1), cut to [0, 1]; 0 for ⊥."""
+    """Normal(mean, 0.1), clipped to [0, 1]; 0 for ⊥."""
     z = rng.standard_normal(len(mean))
     return [0.0 if m is BOTTOM else min(max(m + 0.1 * z[i], 0.0), 1.0) for i, m in enumerate(mean)]
 
 
 def factors(mean, rng):
-    """Cauchy(mean, 0.1), those not above 0 drawn again together, cut to 1."""
+    """Cauchy(mean, 0.1); those not above 0 are redrawn together, and those above 1 are set to 1."""
     F = [m + 0.1 * z for m, z in zip(mean, rng.standard_cauchy(len(mean)), strict=True)]
     while low := [i for i, Fi in enumerate(F) if Fi <= 0]:
         for i, z in zip(low, rng.standard_cauchy(len(low)), strict=True):
@@ -65,7 +70,7 @@ def half_up(value):
 
 
 def plain(kind, f, lower, upper, N, max_nfe, rng):
-    """All four, told apart where their papers differ; returns every point evaluated."""
+    """All four, distinguished where their papers differ; returns every point evaluated."""
     n, locks, kind = len(lower), "overwritten" not in kind, kind.partition(",")[0]
     unit = rng.random((N, n))
     x = [[lower[j] + unit[i, j] * (upper[j] - lower[j]) for j in range(n)] for i in range(N)]
@@ -174,7 +179,7 @@ def test_evaluates_the_same_points_as_a_plain_loop(kind):
 
 
 def test_both_rules_for_the_terminal_value_are_met_here():
-    """Else the loop above would not tell them apart."""
+    """Otherwise the loop above would not distinguish them."""
     lower, upper = np.array([-2.0, -1.0, 0.1]), np.array([1.0, 0.5, 3.3])
     seen = []
     for rule in ("kept", "overwritten"):
@@ -241,6 +246,89 @@ def test_means_and_weights():
     assert_allclose(shares(np.array([1e308, 1e308])), [0.5, 0.5])
 
 
+def test_the_terminal_value_is_the_mean_of_rates_that_are_all_zero():
+    F, gain = np.array([0.2, 0.8]), np.array([1.0, 1.0])
+    assert lehmer_means(F, np.array([0.0, 0.5]), gain) == pytest.approx((0.68, 0.5))
+    mean_F, mean_CR = lehmer_means(F, np.zeros(2), gain)
+    assert mean_F == pytest.approx(0.68) and math.isnan(mean_CR)
+
+
+def test_the_memory_is_overwritten_in_turn():
+    M = Memory(3, F=0.5, CR=0.8)
+    for number in range(4):
+        M.overwrite(F=number / 10, CR=1 - number / 10)
+    assert_allclose(M.F, [0.3, 0.1, 0.2])
+    assert_allclose(M.CR, [0.7, 0.9, 0.8])
+    assert M.k == 1
+
+
+def test_midpoint_repair_and_binomial_crossover_agree_with_plain_loops():
+    problem, N, n = ramp(3), 40, 3
+    lower, upper = problem.lower, problem.upper
+    rng = np.random.default_rng(0)
+    x, v, CR = rng.uniform(-1, 2, (N, n)), rng.uniform(-4, 5, (N, n)), rng.random(N)
+    rand, j_rand = (same := np.random.default_rng(1)).random((N, n)), same.integers(n, size=N)
+    repaired = [
+        [
+            (x[i, j] + lower[j]) / 2
+            if v[i, j] < lower[j]
+            else (x[i, j] + upper[j]) / 2
+            if v[i, j] > upper[j]
+            else v[i, j]
+            for j in range(n)
+        ]
+        for i in range(N)
+    ]
+    assert_array_equal(midpoint(v, x, problem), repaired)
+    for rates in (CR, 0.0, 0.4, 1.0):
+        limits = np.broadcast_to(rates, N)
+        crossed = [
+            [v[i, j] if rand[i, j] <= limits[i] or j == j_rand[i] else x[i, j] for j in range(n)] for i in range(N)
+        ]
+        assert_array_equal(binomial(x, v, rates, np.random.default_rng(1)), crossed)
+
+
+def test_a_generation_returns_what_succeeded_and_archives_the_parents_it_replaces():
+    meter = MeteredProblem(bowl(2), Budget(evaluations=1000))
+    rng = np.random.default_rng(0)
+    P = Population(20, 2.0, meter, rng)
+    before, f = P.x.copy(), P.f.copy()
+    F, CR = np.linspace(0.3, 0.7, 20), np.linspace(0.1, 0.9, 20)
+    S_F, S_CR, gain = P.evolve(P.ranking()[:1].repeat(20), F, CR)
+    better = P.f < f
+    assert 0 < better.sum() < 20
+    assert_array_equal(S_F, F[better])
+    assert_array_equal(S_CR, CR[better])
+    assert_array_equal(gain, f[better] - P.f[better])
+    assert_array_equal(P.A.members, before[better])
+    assert_array_equal(P.x[~better], before[~better])
+    assert meter.population is P.x and meter.population_values is P.f
+
+
+def test_trial_vectors_of_equal_value_replace_their_parents_but_do_not_succeed():
+    flat = Formula(lambda X: np.zeros(len(X)), [0.0, 0.0], [1.0, 1.0])
+    P = Population(10, 1.0, MeteredProblem(flat, Budget(evaluations=1000)), np.random.default_rng(0))
+    before = P.x.copy()
+    successes = P.evolve(np.arange(10), np.full(10, 0.5), np.ones(10))
+    assert [len(part) for part in (*successes, P.A.members)] == [0, 0, 0, 0]
+    assert (P.x != before).all()
+
+
+def test_a_shrinking_population_keeps_its_best_in_order():
+    meter = MeteredProblem(bowl(2), Budget(evaluations=1000))
+    P = Population(20, 1.5, meter, np.random.default_rng(0))
+    for _ in range(20):
+        P.evolve(P.ranking(), np.full(20, 0.5), np.full(20, 0.9))
+    x, f = P.x.copy(), P.f.copy()
+    assert len(P.A.members) == P.A.size == 30
+    P.shrink(7)
+    kept = [i for i in range(20) if sorted(f).index(f[i]) < 7]
+    assert len(P) == 7 and len(P.A.members) == P.A.size == 10
+    assert_array_equal(P.x, x[kept])
+    assert_array_equal(P.f, f[kept])
+    assert meter.population is P.x and meter.population_values is P.f
+
+
 def test_population_sizes_are_the_papers():
     def batches(solver, n, budget):
         problem = bowl(n)
@@ -276,6 +364,14 @@ def test_jade_without_archive_is_another():
         minimize(problem, JADE(archive=archive), 600)
     assert_array_equal(runs[0].points[:60], runs[1].points[:60])
     assert not np.array_equal(runs[0].points, runs[1].points)
+
+
+def test_jade_keeps_a_parent_of_equal_value_and_its_descendants_do_not():
+    for cls in ALL:
+        flat = Formula(lambda X: np.zeros(len(X)), [0.0, 0.0], [1.0, 1.0])
+        minimum = minimize(flat, cls(population=10), 50)
+        kept = np.isin(minimum.population, flat.batches[0]).all()
+        assert kept == (cls is JADE)
 
 
 @pytest.mark.parametrize("cls", ALL)

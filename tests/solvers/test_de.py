@@ -1,3 +1,5 @@
+"""DE against a loop over single numbers that is fed the same draws, and each of its steps by itself."""
+
 import typing
 
 import numpy as np
@@ -6,7 +8,7 @@ from bench_problems import Formula, bowl, ramp
 from numpy.testing import assert_allclose, assert_array_equal
 
 from nfbench import Budget, OptionError, minimize
-from nfbench.solvers.de import DE, make_trials, pick_next, pick_three
+from nfbench.solvers.de import DE, binomial, choose, exponential, mutate, repair
 
 BLOCK = 16
 RULES = ["clip", "midpoint", "reflect", "resample"]
@@ -17,6 +19,18 @@ def mirrored(v, low, high):
     while not low <= v <= high:
         v = 2 * low - v if v < low else 2 * high - v
     return v
+
+
+def folded(v, low, high):
+    """The same by one remainder, as DE computes it, so that it also rounds the same."""
+    t = (v - low) % (2.0 * (high - low))
+    return min(max(low + min(t, 2.0 * (high - low) - t), low), high)
+
+
+def deal(i, N, draws):
+    """The individuals dealt to i, one for each draw, as DE documents it."""
+    deck = [(i + step) % N for step in range(1, N)]
+    return [deck.pop(int(draw * len(deck))) for draw in draws]
 
 
 def mutant(name, j, x, i, best, r, F):
@@ -51,7 +65,7 @@ def taken(crossover, j_rand, rand, CR):
             return coordinates
 
 
-def plain_de(f, lower, upper, N, F, CR, rule, generations, rng, strategy="rand/1/bin"):
+def plain_de(f, lower, upper, N, F, CR, rule, generations, rng, strategy="rand/1/bin", reflect=mirrored):
     """Differential evolution, one number at a time, on the random arrays that DE documents."""
     name, _, crossover = strategy.rpartition("/")
     R, n = VECTORS[name], len(lower)
@@ -65,8 +79,7 @@ def plain_de(f, lower, upper, N, F, CR, rule, generations, rng, strategy="rand/1
         b, best = g % BLOCK, values.index(min(values))
         trials = []
         for i in range(N):
-            deck = [(i + step) % N for step in range(1, N)]
-            r = [deck.pop(int(draws[b, i, c] * len(deck))) for c in range(R)]
+            r = deal(i, N, draws[b, i, :R])
             assert len({i, *r}) == R + 1
             u = list(x[i])
             for j in taken(crossover, int(draws[b, i, R] * n), draws[b, i, R + 1 : R + 1 + n], CR):
@@ -78,7 +91,7 @@ def plain_de(f, lower, upper, N, F, CR, rule, generations, rng, strategy="rand/1
                     elif rule == "midpoint":
                         v = (x[i][j] + bound) / 2
                     elif rule == "reflect":
-                        v = mirrored(v, lower[j], upper[j])
+                        v = reflect(v, lower[j], upper[j])
                     else:
                         v = lower[j] + draws[b, i, R + 1 + n + j] * (upper[j] - lower[j])
                 u[j] = v
@@ -115,18 +128,20 @@ def test_evaluates_the_same_points_as_a_plain_loop(rule, N, n, F, CR):
         assert minimum.value == values.min()
 
 
+@pytest.mark.parametrize("rule", RULES)
 @pytest.mark.parametrize("strategy", STRATEGIES)
-@pytest.mark.parametrize(("rule", "N", "n", "F", "CR"), [("resample", 7, 5, 0.9, 0.6), ("midpoint", 20, 2, 0.5, 0.9)])
-def test_every_strategy_evaluates_the_same_points_as_a_plain_loop(strategy, rule, N, n, F, CR):
-    lower, upper = np.linspace(-2.0, 0.3, n), np.linspace(1.0, 3.3, n)
-    problem = Formula(rugged, lower, upper)
-    solver = DE(population=N, strategy=strategy, F=F, CR=CR, bounds=rule, generations=40)
-    minimum = minimize(problem, solver, N * 100, 5)
-    seen, values = plain_de(
-        lambda x: float(rugged(np.array([x]))[0]), lower, upper, N, F, CR, rule, 40, np.random.default_rng(5), strategy
-    )
-    assert_array_equal(problem.points, seen)
-    assert minimum.value == values.min()
+def test_every_strategy_and_rule_agrees_with_a_plain_loop_to_the_last_bit(strategy, rule):
+    least = max(4, VECTORS[strategy.rpartition("/")[0]] + 1)
+    for N, n, F, CR in [(least, 1, 1.3, 0.5), (least + 3, 5, 0.9, 0.6), (20, 2, 0.5, 0.9), (12, 10, 2.0, 0.3)]:
+        lower, upper = np.linspace(-2.0, 0.3, n), np.linspace(1.0, 3.3, n)
+        problem = Formula(rugged, lower, upper)
+        solver = DE(population=N, strategy=strategy, F=F, CR=CR, bounds=rule, generations=40)
+        minimum = minimize(problem, solver, N * 100, 5)
+        f = lambda x: float(rugged(np.array([x]))[0])  # noqa: E731
+        rng = np.random.default_rng(5)
+        seen, values = plain_de(f, lower, upper, N, F, CR, rule, 40, rng, strategy, folded)
+        assert_array_equal(problem.points, seen)
+        assert_array_equal(minimum.population_values, np.sort(values))
 
 
 @pytest.mark.parametrize("strategy", STRATEGIES)
@@ -144,47 +159,79 @@ def test_the_plain_loop_leaves_the_box_often_enough_to_test_the_rules():
         assert np.abs(runs[rule] - runs["clip"]).max() > 0.1
 
 
-def test_indices_are_distinct_and_every_triple_is_equally_likely():
+def chosen(draws, R, best=0):
+    """What choose makes of these draws."""
+    parents = np.empty((len(draws), R + 2), int)
+    choose(draws, best, parents)
+    return parents
+
+
+def test_parents_are_distinct_and_every_choice_is_equally_likely():
     counts = np.zeros((5, 5, 5, 5))
     rounds = 20_000
-    for draws in np.random.default_rng(0).random((rounds, 5, 3)):
-        for i in range(5):
-            counts[(i, *pick_three(i, 5, draws[i]))] += 1
+    for draws in np.random.default_rng(0).random((rounds, 5, 4)):
+        for i, (r1, r2, r3, *_) in enumerate(chosen(draws, 3)):
+            counts[i, r1, r2, r3] += 1
     allowed = [(i, a, b, c) for i, a, b, c in np.ndindex(5, 5, 5, 5) if len({i, a, b, c}) == 4]
     observed = np.array([counts[key] for key in allowed])
     assert observed.sum() == 5 * rounds == counts.sum()
     assert_allclose(observed, rounds / 24, atol=5 * np.sqrt(rounds / 24))
 
 
-def test_a_fourth_and_fifth_individual_are_any_of_those_left():
-    for taken in ([3, 0, 5], [5, 3, 0, 1]):
-        i, N = 2, 7
-        others = [
-            pick_next(i, N, (card + 0.5) / (N - 1 - len(taken)), np.array(taken)) for card in range(N - 1 - len(taken))
-        ]
-        assert others == [r % N for r in range(i + 1, i + N) if r % N not in taken]
+@pytest.mark.parametrize("R", [2, 3, 4, 5])
+@pytest.mark.parametrize("more", [1, 2, 20])
+def test_parents_are_dealt_like_cards_and_the_best_and_the_target_follow(R, more):
+    N = R + more
+    for draws in np.random.default_rng(0).random((200, N, R + 4)):
+        assert chosen(draws, R, best=1).tolist() == [[*deal(i, N, draws[i, :R]), 1, i] for i in range(N)]
+
+
+def test_every_choice_of_parents_comes_from_one_interval_of_draws():
+    """All 7·6·5·4·3·2 choices of five parents among seven individuals, from the middle of each interval."""
+    N, R = 7, 5
+    draws = np.zeros((N, R + 2))
+    found = [set() for _ in range(N)]
+    for cards in np.ndindex(6, 5, 4, 3, 2):
+        draws[:, :R] = (np.array(cards) + 0.5) / [6, 5, 4, 3, 2]
+        for i, parents in enumerate(chosen(draws, R)[:, :R].tolist()):
+            assert len({i, *parents}) == R + 1
+            found[i].add(tuple(parents))
+    assert {len(choices) for choices in found} == {6 * 5 * 4 * 3 * 2}
+
+
+@pytest.mark.parametrize("columns", [(0, 1, 2), (-2, 0, 1), (0, 1, 2, 3, 4), (-1, -2, -1, 0, 1), (0, -2, 0, 1, 2)])
+def test_the_mutant_is_the_base_plus_scaled_differences(columns):
+    rng = np.random.default_rng(2)
+    x = rng.random((9, 3))
+    parents, v = chosen(rng.random((9, 8)), 5, best=4), np.empty_like(x)
+    mutate(x, parents, np.array(columns), 0.7, v)
+    base, *rest = (x[parents[:, column]] for column in columns)
+    for plus, minus in zip(rest[::2], rest[1::2], strict=True):
+        base = base + 0.7 * (plus - minus)
+    assert_array_equal(v, base)
 
 
 def test_exponential_crossover_takes_a_run_of_geometric_length():
     x = np.random.default_rng(1).random((50, 8))
-    u, lower, upper = np.empty_like(x), np.full(8, -9.0), np.full(8, 9.0)
-    counts = np.zeros(9)
+    u, counts = np.empty_like(x), np.zeros(9)
     for draws in np.random.default_rng(0).random((400, 50, 12)):
-        make_trials(x, 0, np.array([0, 1, 2]), True, 0.5, 0.6, 0, lower, upper, draws, u)
-        crossed = u != x
+        exponential(x, x + 1, 0.6, draws, 3, u)
+        assert_array_equal(u, np.where(crossed := u != x, x + 1, x))
         assert ((crossed != np.roll(crossed, 1, axis=1)).sum(axis=1) <= 2).all()  # one run, cyclically
+        assert crossed[np.arange(50), (8 * draws[:, 3]).astype(int)].all()
         counts += np.bincount(crossed.sum(axis=1), minlength=9)
     expected = 20_000 * np.array([0, *(0.4 * 0.6 ** np.arange(7)), 0.6**7])
     assert_allclose(counts, expected, atol=5 * np.sqrt(5000))
 
 
-def test_crossover_takes_cr_of_the_coordinates_and_at_least_one():
+def test_binomial_crossover_takes_cr_of_the_coordinates_and_at_least_one():
     x = np.random.default_rng(1).random((50, 8))
-    u, lower, upper = np.empty_like(x), np.full(8, -9.0), np.full(8, 9.0)
+    u = np.empty_like(x)
 
     def crossed(CR, rounds):
         for draws in np.random.default_rng(0).random((rounds, 50, 12)):
-            make_trials(x, 0, np.array([0, 1, 2]), False, 0.5, CR, 0, lower, upper, draws, u)
+            binomial(x, x + 1, CR, draws, 3, u)
+            assert_array_equal(u, np.where(u != x, x + 1, x))
             yield u != x
 
     cross = np.array(list(crossed(0.3, 400)))
@@ -192,6 +239,28 @@ def test_crossover_takes_cr_of_the_coordinates_and_at_least_one():
     assert_allclose(cross.mean(), 1 / 8 + 7 / 8 * 0.3, atol=0.005)
     assert_array_equal(next(crossed(0.0, 1)).sum(axis=1), 1)
     assert next(crossed(1.0, 1)).all()
+
+
+@pytest.mark.parametrize("rule", RULES)
+def test_repair_changes_only_what_is_outside_the_box(rule):
+    rng = np.random.default_rng(3)
+    lower, upper = np.array([-1.0, 0.0, 2.0]), np.array([1.0, 5.0, 2.5])
+    lower.flags.writeable = upper.flags.writeable = False  # as the meter's are
+    x, v = rng.uniform(lower, upper, (40, 3)), rng.uniform(lower - 9, upper + 9, (40, 3))
+    v[:2] = lower, upper
+    draws, u = rng.random((40, 10)), v.copy()
+    repair(u, x, lower, upper, RULES.index(rule), draws)
+    bound = np.where(v < lower, lower, upper)
+    expected = {
+        "clip": bound,
+        "midpoint": (x + bound) / 2,
+        "reflect": [[mirrored(*numbers) for numbers in zip(row, lower, upper, strict=True)] for row in v],
+        "resample": lower + draws[:, -3:] * (upper - lower),
+    }[rule]
+    inside = (lower <= v) & (v <= upper)
+    assert 5 < inside.sum() < 100
+    assert_array_equal(u[inside], v[inside])
+    assert_allclose(u, np.where(inside, v, expected), rtol=0, atol=1e-12)
 
 
 def test_selection_accepts_equal_values_so_that_a_plateau_is_crossed():

@@ -133,7 +133,7 @@ def test_crowding_measures_in_widths_of_the_box():
 
 
 def test_crowding_replaces_as_inspyred_does():
-    """inspyred by Garrett, its crowd being the whole population; it differs at ties alone, of which none is here."""
+    """inspyred by Garrett, with the whole population as its crowd; it differs only at ties, and there are none here."""
     ec = pytest.importorskip("inspyred.ec")
     N, width = 20, np.array([1.0, 100.0, 0.01])
 
@@ -193,7 +193,7 @@ def test_a_population_is_handed_over_best_first_and_may_not_be_malformed():
     assert (np.diff(found.population_values) >= 0).all()
     assert minimize(bowl(2), BasinHopping(), 100).population is None
     meter = MeteredProblem(bowl(2), Budget(evaluations=10))
-    with pytest.raises(Exception, match=r"expected a population \(p, 2\) with p values, got \(3, 2\) and \(2,\)"):
+    with pytest.raises(Exception, match=r"expected a population \(p, 2\) and p values, got shapes \(3, 2\), \(2,\)"):
         meter.keep_population(np.zeros((3, 2)), np.zeros(2))
 
 
@@ -211,7 +211,7 @@ def test_the_gradient_is_used_and_counts_as_one_evaluation(solver):
 
 
 @pytest.mark.parametrize("sampling", ["low-discrepancy", "random"])
-def test_mlsl_begins_anew_where_lbfgs_gives_up(sampling):
+def test_mlsl_restarts_where_lbfgs_gives_up(sampling):
     """ESF, in whose narrow valleys NLopt's L-BFGS ends with a failure."""
     array = {"kind": "ula", "elements": 64, "spacing_wavelengths": 0.25, "origin": "first"}
     box = {"azimuth_deg": [-60, 60], "range_m": [0.5, 4.0]}
