@@ -1,6 +1,7 @@
-"""nfbench: which optimizer, on which formulation, localizes near-field sources best for what you can spend?
+"""nfbench benchmarks optimizers on near-field source localization.
 
-The contracts of plugins and the few calls a notebook needs, in one import.
+It answers which optimizer, on which formulation, localizes the sources best within a given budget. This module
+exports the base classes for plugins and the functions that a script or notebook needs.
 """
 
 from __future__ import annotations
@@ -119,16 +120,16 @@ _PACKAGES = {
 
 
 def __getattr__(name: str) -> Any:
-    """Import what needs pandas, Numba or the registry on first use, so that ``import nfbench`` stays quick."""
+    """Import names that need pandas, Numba or the registry on first use, so that ``import nfbench`` stays fast."""
     if name in _PACKAGES:
         return getattr(importlib.import_module(f".{_PACKAGES[name]}", __name__), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 def solver(name: str, **options: Any) -> Solver:
-    """A registered solver by name, e.g. ``nfbench.solver("de", population=120)``.
+    """Return a registered solver by name, e.g. ``nfbench.solver("de", population=120)``.
 
-    Raises PluginError for an unknown name, OptionError for unknown or impossible options.
+    Raises PluginError if the name is unknown and OptionError if an option is unknown or invalid.
     """
     from .plugins import Registry
 

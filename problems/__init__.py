@@ -1,1 +1,1 @@
-"""Problems: near-field source localization and test functions; installed as nfbench.problems."""
+"""Problems: near-field source localization and test functions; the package is installed as nfbench.problems."""

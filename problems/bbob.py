@@ -1,4 +1,4 @@
-"""The 24 noiseless functions of BBOB, by which the field compares optimizers, from either of two libraries."""
+"""The 24 noiseless BBOB functions, a standard benchmark of optimizers, from either of two libraries."""
 
 from __future__ import annotations
 
@@ -26,9 +26,14 @@ MODULES: dict[Backend, str] = {"coco": "cocoex", "ioh": "ioh"}
 
 @final
 class BBOBProblem(Problem):
-    """A BBOB function over [-5, 5]ⁿ. Its values are f as COCO shows it, the offset f_opt included.
+    """A BBOB function over [-5, 5]ⁿ. Its values include the offset f_opt, as in COCO.
 
-    optimum: x_opt (n,). f_opt: the value there.
+    backend: library that computes the function, "coco" or "ioh".
+    function: number of the function, 1 to 24.
+    dimension: number n of unknowns.
+    instance: COCO's number of the instance.
+
+    The attribute ``optimum`` is the minimizer x_opt (n,), and ``f_opt`` the value there.
     """
 
     def __init__(self, backend: Backend, function: int, dimension: int, instance: int) -> None:
@@ -42,7 +47,7 @@ class BBOBProblem(Problem):
 
 @final
 class BBOBInstance(ProblemInstance):
-    """An instance of a BBOB function; an estimate is a point of its box."""
+    """A BBOB function to minimize; an estimate is a point of its box."""
 
     problem: BBOBProblem
 
@@ -53,7 +58,11 @@ class BBOBInstance(ProblemInstance):
         return self.problem.optimum
 
     def score(self, estimate: Point) -> dict[str, float]:
-        """gap: f(x) - f_opt, rounding below 0 cut off. distance: ‖x - x_opt‖ as a fraction of the box's diagonal."""
+        """Return the scores of an estimate (n,); raises ValueError if its shape is wrong.
+
+        gap: f(x) - f_opt, at least 0.
+        distance: ‖x - x_opt‖ as a fraction of the diagonal of the box.
+        """
         estimate = np.asarray(estimate, dtype=np.float64)
         problem = self.problem
         if estimate.shape != problem.lower.shape:
@@ -64,18 +73,20 @@ class BBOBInstance(ProblemInstance):
 
 @dataclass(frozen=True)
 class BBOB(Scenario):
-    """The noiseless functions of BBOB (Hansen, Finck, Ros & Auger 2009) in [-5, 5]ⁿ, without COCO's files and logs.
+    """The noiseless BBOB functions (Hansen, Finck, Ros & Auger 2009) in [-5, 5]ⁿ, without COCO's files and logs.
 
-    function: 1 sphere, 2 ellipsoid, 3 Rastrigin, 4 Büche-Rastrigin, 5 linear slope, 6 attractive sector, 7 step
-        ellipsoid, 8 Rosenbrock, 9 rotated Rosenbrock, 10 rotated ellipsoid, 11 discus, 12 bent cigar, 13 sharp ridge,
-        14 different powers, 15 rotated Rastrigin, 16 Weierstrass, 17 Schaffer F7, 18 ill-conditioned Schaffer F7, 19
-        Griewank-Rosenbrock, 20 Schwefel, 21 Gallagher's 101 peaks, 22 Gallagher's 21 peaks, 23 Katsuura, 24 Lunacek
-        bi-Rastrigin.
-    dimension: n, 2 to 40 as in the suite.
-    instance_id: COCO's number of the instance, which fixes x_opt, f_opt and rotations; none: drawn from 1 to 1000.
-    backend: "coco", the authors' library (extra coco), or "ioh", IOHexperimenter (extra ioh). The instances are the
-        same. Values agree up to rounding but for function 7 on its lowest step, around x_opt: it is flat in ioh, where
-        the definition and coco rise from f_opt by up to 5e-7.
+    function: number of the function: 1 sphere, 2 ellipsoid, 3 Rastrigin, 4 Büche-Rastrigin, 5 linear slope,
+        6 attractive sector, 7 step ellipsoid, 8 Rosenbrock, 9 rotated Rosenbrock, 10 rotated ellipsoid, 11 discus,
+        12 bent cigar, 13 sharp ridge, 14 different powers, 15 rotated Rastrigin, 16 Weierstrass, 17 Schaffer F7,
+        18 ill-conditioned Schaffer F7, 19 Griewank-Rosenbrock, 20 Schwefel, 21 Gallagher's 101 peaks, 22 Gallagher's
+        21 peaks, 23 Katsuura, 24 Lunacek bi-Rastrigin.
+    dimension: number n of unknowns, 2 to 40 as in the BBOB suite.
+    instance_id: COCO's number of the instance, which determines x_opt, f_opt and the rotations; None: each scene draws
+        a number from 1 to 1000.
+    backend: library that computes the functions: "coco" is the library of the authors (extra coco), "ioh" is
+        IOHexperimenter (extra ioh). Both have the same instances, and their values agree up to rounding except for
+        function 7 on its lowest step around x_opt. There ioh is constant, whereas the definition and coco rise from
+        f_opt by up to 5e-7.
     """
 
     function: Annotated[int, Ge(1), Le(24)] = 1
@@ -93,21 +104,21 @@ class BBOB(Scenario):
         importlib.import_module(MODULES[self.backend])
 
     def draw(self, rng: np.random.Generator) -> BBOBInstance:
-        """Draw the number of the instance, unless it is given."""
+        """Draw the number of the instance unless ``instance_id`` is given."""
         number = self.instance_id or int(rng.integers(1, INSTANCES, endpoint=True))
         return BBOBInstance(BBOBProblem(self.backend, self.function, self.dimension, number))
 
 
 def _coco(function: int, dimension: int, number: int) -> tuple[Callable[[Batch], Values], Point, float]:
-    """f, x_opt and f_opt of COCO's own library, beyond whose suite of 24 functions and 2 to 40 unknowns it crashes."""
+    """Return f, x_opt and f_opt from COCO's library, which crashes outside its 24 functions and 2 to 40 unknowns."""
     from cocoex import BareProblem
 
     f = BareProblem("bbob", function, dimension, number)
-    return lambda X: f(np.array(X)), f.best_parameter(), f.best_value()  # a copy, as f refuses read-only arrays
+    return lambda X: f(np.array(X)), f.best_parameter(), f.best_value()  # f does not accept read-only arrays
 
 
 def _ioh(function: int, dimension: int, number: int) -> tuple[Callable[[Batch], Values], Point, float]:
-    """f, x_opt and f_opt of IOHexperimenter (de Nobel et al. 2024)."""
+    """Return f, x_opt and f_opt from IOHexperimenter (de Nobel et al. 2024)."""
     from ioh import ProblemClass, get_problem
 
     f = get_problem(function, number, dimension, ProblemClass.BBOB)

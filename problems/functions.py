@@ -1,4 +1,4 @@
-"""Test functions whose minimum is known: to check solvers, and to see what they are worth beyond localization."""
+"""Test functions with a known minimum, to check solvers and to compare them on problems other than localization."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ Batch: TypeAlias = Float[ndarray, "p n"]
 Values: TypeAlias = Float[ndarray, " p"]
 Point: TypeAlias = Float[ndarray, " n"]
 
-MARGIN = 0.1  # a shifted minimum keeps this fraction of the box's width from its faces
+MARGIN = 0.1  # distance of a shifted minimum from the faces, as a fraction of the width of the box
 
 
 def sphere(z: Batch) -> Values:
-    """Σ z_j²."""
+    """Return Σ z_j²."""
     return np.asarray((z * z).sum(axis=1))
 
 
@@ -32,7 +32,7 @@ def sphere_gradient(z: Point) -> Point:
 
 
 def rosenbrock(z: Batch) -> Values:
-    """Σ 100·(z_{j+1} - z_j²)² + (1 - z_j)², minimum at 1."""
+    """Return Σ 100·(z_{j+1} - z_j²)² + (1 - z_j)², whose minimum is at z_j = 1."""
     head, tail = z[:, :-1], z[:, 1:]
     return np.asarray((100.0 * (tail - head**2) ** 2 + (1.0 - head) ** 2).sum(axis=1))
 
@@ -46,7 +46,7 @@ def rosenbrock_gradient(z: Point) -> Point:
 
 
 def rastrigin(z: Batch) -> Values:
-    """Σ z_j² + 10·(1 - cos 2πz_j), written with 1 - cos = 2·sin², which keeps small values exact."""
+    """Return Σ z_j² + 10·(1 - cos 2πz_j), computed with 1 - cos 2x = 2·sin² x, which is accurate for small values."""
     return np.asarray((z * z + 20.0 * np.sin(math.pi * z) ** 2).sum(axis=1))
 
 
@@ -55,38 +55,41 @@ def rastrigin_gradient(z: Point) -> Point:
 
 
 def ackley(z: Batch) -> Values:
-    """20·(1 - exp(-0.2·√mean z²)) + e - exp(mean cos 2πz), written for exact small values."""
+    """Return 20·(1 - exp(-0.2·√mean z²)) + e - exp(mean cos 2πz), in a form that is accurate for small values."""
     radius = np.sqrt((z * z).mean(axis=1))
     waves = 2.0 * (np.sin(math.pi * z) ** 2).mean(axis=1)  # 1 - mean cos
     return np.asarray(-20.0 * np.expm1(-0.2 * radius) - math.e * np.expm1(-waves))
 
 
 def ackley_gradient(z: Point) -> Point:
-    """At the minimum, which is a cusp, 0."""
+    """Return the gradient; it is set to 0 at the minimum, where the function has a cusp."""
     radius = math.sqrt((z * z).mean())
     waves = 2.0 * math.pi * math.exp(np.cos(2.0 * math.pi * z).mean()) * np.sin(2.0 * math.pi * z)
     return np.asarray(((4.0 * math.exp(-0.2 * radius) / radius) * z + waves) / len(z)) if radius else np.zeros_like(z)
 
 
 def griewank(z: Batch) -> Values:
-    """1 + Σ z_j²/4000 - Π cos(z_j/√j)."""
+    """Return 1 + Σ z_j²/4000 - Π cos(z_j/√j)."""
     root = np.sqrt(np.arange(1.0, z.shape[1] + 1.0))
     return np.asarray(1.0 + (z * z).sum(axis=1) / 4000.0 - np.cos(z / root).prod(axis=1))
 
 
 def griewank_gradient(z: Point) -> Point:
     root = np.sqrt(np.arange(1.0, len(z) + 1.0))
-    others = np.tile(np.cos(z / root), (len(z), 1))  # row j: the cosines that z_j multiplies
+    others = np.tile(np.cos(z / root), (len(z), 1))  # row j: the factors of the product other than z_j's
     np.fill_diagonal(others, 1.0)
     return np.asarray(z / 2000.0 + others.prod(axis=1) * np.sin(z / root) / root)
 
 
-SCHWEFEL_PLACE = 420.968746359982  # where sin √z + ½√z·cos √z = 0 in the deepest valley
+SCHWEFEL_PLACE = 420.968746359982  # the root of sin √z + ½√z·cos √z = 0 in the deepest valley
 SCHWEFEL_DEPTH = SCHWEFEL_PLACE * math.sin(math.sqrt(SCHWEFEL_PLACE))
 
 
 def schwefel(z: Batch) -> Values:
-    """Σ 418.98… - z_j·sin √|z_j|, minimum at 420.97; beyond ±500 the edge's value plus (|z_j| - 500)²/100."""
+    """Return Σ 418.98… - z_j·sin √|z_j|, whose minimum is at z_j = 420.97…
+
+    Beyond ±500 a term is its value at the edge plus (|z_j| - 500)²/100.
+    """
     inner = np.clip(z, -500.0, 500.0)
     waves = inner * np.sin(np.sqrt(np.abs(inner)))
     return np.asarray((SCHWEFEL_DEPTH - waves + 0.01 * (z - inner) ** 2).sum(axis=1))
@@ -100,7 +103,14 @@ def schwefel_gradient(z: Point) -> Point:
 
 @dataclass(frozen=True)
 class Shape:
-    """A function, its gradient, its usual box [low, high]ⁿ, and the coordinate z_j* of its minimum."""
+    """A test function.
+
+    value: function of a batch (p, n) that returns the values (p,).
+    gradient: function of a point (n,) that returns the gradient (n,).
+    low: lower end of the usual box [low, high]ⁿ.
+    high: upper end of the usual box.
+    place: coordinate z_j* of the minimum, equal for all j.
+    """
 
     value: Callable[[Batch], Values]
     gradient: Callable[[Point], Point]
@@ -121,9 +131,11 @@ SHAPES = {
 
 @final
 class FunctionProblem(Problem):
-    """f(R·(x - x*) + z*): a function with its minimum moved from z* to x*, and turned about it by R.
+    """f(R·(x - x*) + z*): a function whose minimum is moved from z* to x*, and which is rotated about it by R.
 
-    optimum: x* (n,), where the value is 0 up to rounding. rotation: R (n, n), orthogonal, or None for the identity.
+    shape: the function f.
+    optimum: minimizer x*, shape (n,); the value there is 0 up to rounding.
+    rotation: orthogonal matrix R, shape (n, n); None: the identity.
     """
 
     has_gradient: ClassVar[bool] = True
@@ -141,15 +153,15 @@ class FunctionProblem(Problem):
         return float(self.shape.value(z)[0]), gradient if self.rotation is None else gradient @ self.rotation
 
     def _original(self, X: Batch) -> Batch:
-        """z, where the function has its minimum at its classical place."""
+        """Return z = R·(x - x*) + z* for each row x."""
         moved = X - self.optimum
-        turned = moved if self.rotation is None else moved @ self.rotation.T
-        return np.asarray(turned + self.shape.place)
+        rotated = moved if self.rotation is None else moved @ self.rotation.T
+        return np.asarray(rotated + self.shape.place)
 
 
 @final
 class FunctionInstance(ProblemInstance):
-    """A test function; an estimate is a point of its box."""
+    """A test function to minimize; an estimate is a point of its box."""
 
     problem: FunctionProblem
 
@@ -160,7 +172,11 @@ class FunctionInstance(ProblemInstance):
         return self.problem.optimum
 
     def score(self, estimate: Point) -> dict[str, float]:
-        """gap: f(x) - f*, rounding below 0 cut off. distance: ‖x - x*‖ as a fraction of the box's diagonal."""
+        """Return the scores of an estimate (n,); raises ValueError if its shape is wrong.
+
+        gap: f(x) - f*, at least 0.
+        distance: ‖x - x*‖ as a fraction of the diagonal of the box.
+        """
         estimate = np.asarray(estimate, dtype=np.float64)
         problem = self.problem
         if estimate.shape != problem.lower.shape:
@@ -171,17 +187,18 @@ class FunctionInstance(ProblemInstance):
 
 @dataclass(frozen=True)
 class Functions(Scenario):
-    """Classical test functions in their usual boxes, with minimum value 0 at a known point inside the box.
+    """Classical test functions in their usual boxes, with the minimum value 0 at a known point inside the box.
 
-    function: sphere and rastrigin in [-5.12, 5.12]ⁿ, rosenbrock in [-5, 10]ⁿ, ackley in [-32.768, 32.768]ⁿ, griewank in
-        [-600, 600]ⁿ, schwefel in [-500, 500]ⁿ. rosenbrock needs n >= 2.
-    dimension: n.
-    shifted: the minimum is uniform in the inner 80 % of the box along each axis; false: at its classical place.
-    rotated: the function is turned about its minimum by a random orthogonal matrix.
+    function: name of the function. Its box is [-5.12, 5.12]ⁿ for sphere and rastrigin, [-5, 10]ⁿ for rosenbrock (which
+        needs n >= 2), [-32.768, 32.768]ⁿ for ackley, [-600, 600]ⁿ for griewank and [-500, 500]ⁿ for schwefel.
+    dimension: number n of unknowns.
+    shifted: whether to move the minimum to a random point, uniform in the inner 80 % of the box along each axis; false:
+        the minimum is at its classical place.
+    rotated: whether to rotate the function about its minimum by a random orthogonal matrix.
 
-    The box stays where it is; what the function is beyond its usual domain therefore matters. All but schwefel are
-    nonnegative everywhere. Beyond ±500, schwefel continues at its value on the edge plus (|z| - 500)²/100, so that it
-    too is nonnegative and 0 at its minimum only.
+    The box does not move, so a shifted or rotated function is also evaluated outside its usual domain. All functions
+    except schwefel are nonnegative everywhere. Beyond ±500, schwefel is its value at the edge plus (|z| - 500)²/100, so
+    that it is also nonnegative, and 0 only at its minimum.
     """
 
     function: Literal["sphere", "rosenbrock", "rastrigin", "ackley", "griewank", "schwefel"] = "rastrigin"
@@ -197,7 +214,7 @@ class Functions(Scenario):
             raise ValueError(f"dimension: expected at least 2 for rosenbrock, got {self.dimension}")
 
     def draw(self, rng: np.random.Generator) -> FunctionInstance:
-        """Draw shift and rotation, always both, so that switching one off leaves the other as it was."""
+        """Draw the instance; shift and rotation are always drawn, so that switching off one keeps the other."""
         shape, n = SHAPES[self.function], self.dimension
         shift = shape.low + (MARGIN + (1.0 - 2.0 * MARGIN) * rng.random(n)) * (shape.high - shape.low)
         rotation = _orthogonal(n, rng)
@@ -207,15 +224,15 @@ class Functions(Scenario):
 
 @dataclass(frozen=True)
 class Direct(Formulation):
-    """The instance's problem, minimized once; its minimizer is the estimate."""
+    """Minimizes the problem of the instance once; the minimizer is the estimate."""
 
-    accepts: ClassVar[type[Instance]] = ProblemInstance  # type: ignore[type-abstract]  # any that derives from it
+    accepts: ClassVar[type[Instance]] = ProblemInstance  # type: ignore[type-abstract]  # any subclass
 
     def solve(self, instance: ProblemInstance, minimize: Minimize) -> Point:
         return minimize(instance.problem).x
 
 
 def _orthogonal(n: int, rng: np.random.Generator) -> Float[ndarray, "n n"]:
-    """A random orthogonal matrix, uniform in the sense of Haar (Mezzadri 2007)."""
+    """Draw an orthogonal matrix (n, n), uniform with respect to the Haar measure (Mezzadri 2007)."""
     q, r = np.linalg.qr(rng.standard_normal((n, n)))
     return np.asarray(q * np.where(np.diag(r) < 0.0, -1.0, 1.0))

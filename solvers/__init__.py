@@ -1,1 +1,1 @@
-"""Optimizers, one algorithm or one wrapped library a file, installed as nfbench.solvers."""
+"""Optimizers: one algorithm or one wrapped library per file; the package is installed as nfbench.solvers."""

@@ -1,4 +1,4 @@
-"""A finite stand-in for +inf, for libraries whose arithmetic it breaks."""
+"""A finite replacement for +inf, for libraries that cannot compute with infinite values."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ __all__ = ["Finite"]
 
 @final
 class Finite:
-    """Replaces +inf by the largest finite value met so far, or by ``start`` before there is one.
+    """Replaces +inf by the largest finite value seen so far, or by ``start`` if there is none yet.
 
-    The order of the values is kept, but for ties with that largest one.
+    The order of the values is preserved, except that +inf ties with the largest finite value.
     """
 
     def __init__(self, start: float) -> None:
@@ -24,14 +24,14 @@ class Finite:
         self.worst = -math.inf
 
     def one(self, value: float) -> float:
-        """The value, or its stand-in."""
+        """Return the value, or its replacement if it is +inf."""
         if value < math.inf:
             self.worst = max(self.worst, value)
             return value
         return self.worst if self.worst > -math.inf else self.start
 
     def many(self, values: Float[ndarray, " p"]) -> Float[ndarray, " p"]:
-        """The values, the finite ones among them considered first."""
+        """Return the values with +inf replaced; the finite values of this batch are taken into account first."""
         finite = values < math.inf
         if finite.any():
             self.worst = max(self.worst, float(values[finite].max()))

@@ -1,4 +1,4 @@
-"""What the solvers around SciPy's L-BFGS-B share: the objective in the unit box with a gradient."""
+"""The objective with its gradient in the unit box, shared by the solvers that use SciPy's L-BFGS-B."""
 
 from __future__ import annotations
 
@@ -16,10 +16,13 @@ __all__ = ["objective"]
 def objective(
     problem: MeteredProblem, own: bool, step: float = 1e-8
 ) -> Callable[[Float[ndarray, " n"]], tuple[float, Float[ndarray, " n"]]]:
-    """Value and gradient in the unit box; ``own``: the problem's gradient, else forward differences by ``step``.
+    """Return a function that computes the value and the gradient at a point of the unit box.
 
-    Differences are one batch of n + 1 points, none outside the box. A gradient that is no number is zero: a search that
-    starts on a plateau of +inf ends there.
+    Forward differences take one batch of n + 1 points, none of which lies outside the box. Components of the gradient
+    that are NaN or infinite are set to 0, so that a search that starts on a plateau of +inf ends there.
+
+    own: whether to use the problem's gradient; otherwise forward differences are used.
+    step: step of the forward differences, as a fraction of the width of the box.
     """
     width = problem.upper - problem.lower
 
@@ -28,7 +31,7 @@ def objective(
         return value, _flat_where_infinite(gradient * width)
 
     def difference(u: Float[ndarray, " n"]) -> tuple[float, Float[ndarray, " n"]]:
-        h = np.where(u + step <= 1.0, step, -step)  # look inwards at the upper bound
+        h = np.where(u + step <= 1.0, step, -step)  # step inwards at the upper bound
         values = problem.evaluate(problem.from_unit(np.vstack([u, u + np.diag(h)])))
         return float(values[0]), _flat_where_infinite((values[1:] - values[0]) / h)
 

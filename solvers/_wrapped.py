@@ -1,4 +1,4 @@
-"""What wrapped libraries need so that the meter sees what they do, and they see when it ends."""
+"""Helpers for wrapped libraries: points, planned evaluations, global random numbers, and exceptions."""
 
 from __future__ import annotations
 
@@ -16,15 +16,16 @@ from nfbench import MeteredProblem
 
 __all__ = ["Stop", "from_unit", "global_random", "planned"]
 
-ROUNDING = 1e-9  # in widths of the box; a library that leaves it by more did not keep its bounds
+ROUNDING = 1e-9  # in widths of the box; a point farther outside is an error of the library
 
 T = TypeVar("T")
 
 
 def from_unit(problem: MeteredProblem, U: Float[ndarray, "*p n"]) -> Float[ndarray, "*p n"]:
-    """Points of the unit box as the problem's, for a library that is trusted to round and no more.
+    """Map points of the unit box to the problem's box, and clip rounding errors at its bounds.
 
-    A point further outside is handed on as it is, for the meter to refuse: it shall not be clipped unseen.
+    A point that lies outside by more than rounding is not clipped silently: it is mapped unchanged, so that the meter
+    rejects it.
     """
     if np.all((U >= -ROUNDING) & (U <= 1.0 + ROUNDING)):
         return problem.from_unit(U)
@@ -32,13 +33,13 @@ def from_unit(problem: MeteredProblem, U: Float[ndarray, "*p n"]) -> Float[ndarr
 
 
 def planned(problem: MeteredProblem, horizon: int) -> int:
-    """The evaluations a library may plan for: what is left of the budget or, where time alone ends it, ``horizon``."""
+    """Return the number of evaluations to plan for: what remains of the budget or, if it has no limit, ``horizon``."""
     return problem.remaining if problem.remaining < sys.maxsize // 2 else horizon
 
 
 @contextlib.contextmanager
 def global_random(seed: int) -> Iterator[None]:
-    """For a library that draws from the global generators: seeded within this context, and left as they were found."""
+    """Seed the global generators of Python and NumPy within this context, and restore their states afterwards."""
     states = random.getstate(), np.random.get_state()  # noqa: NPY002
     random.seed(seed)
     np.random.seed(seed)  # noqa: NPY002
@@ -51,16 +52,18 @@ def global_random(seed: int) -> Iterator[None]:
 
 @final
 class Stop:
-    """Carries what an evaluation raises past a library that swallows it or makes another exception of it.
+    """Preserves an exception of the objective if the library catches it or replaces it by another exception.
 
-    Wrap the objective in ``guard`` and the library's call in ``run``. After the first exception the objective raises
-    it again at once, so that no evaluation is asked for after the end.
+    Wrap the objective with ``guard`` and call the library through ``run``. After the first exception the objective
+    raises the same exception again at once, so that nothing is evaluated after the end.
     """
 
     def __init__(self) -> None:
         self.error: BaseException | None = None
 
     def guard(self, objective: Callable[..., T]) -> Callable[..., T]:
+        """Return the objective wrapped so that its first exception is stored and raised by every later call."""
+
         def guarded(*arguments: Any) -> T:
             if self.error is not None:
                 raise self.error
@@ -73,7 +76,7 @@ class Stop:
         return guarded
 
     def run(self, library: Callable[[], object]) -> None:
-        """Call the library; raise what the objective raised, whatever the library made of it."""
+        """Call the library, then raise the exception of the objective if there was one."""
         try:
             library()
         except BaseException:

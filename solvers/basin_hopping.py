@@ -1,4 +1,4 @@
-"""Basin hopping of SciPy, with L-BFGS-B."""
+"""SciPy's basin hopping with L-BFGS-B as the local search."""
 
 from __future__ import annotations
 
@@ -19,13 +19,17 @@ __all__ = ["BasinHopping"]
 
 @dataclass(frozen=True)
 class BasinHopping(Solver):
-    """``scipy.optimize.basinhopping`` in the unit box: a random step, then L-BFGS-B, accepted or not, over and over.
+    """``scipy.optimize.basinhopping`` in the unit box: random hops, each followed by a local search with L-BFGS-B.
 
-    It follows the problem's gradient where it has one, each value and gradient one evaluation, else differences.
+    The local search uses the problem's gradient if it has one, and forward differences otherwise. A value together with
+    its gradient counts as one evaluation.
 
-    step: a hop moves each coordinate uniformly by up to this fraction of the box's width, and is mirrored at its faces.
-    temperature: T of the Metropolis rule, in the objective's unit; 0: only what is no worse is accepted.
-    patience: hops in a row without a better minimum, after which it starts anew at a uniform random point.
+    step: largest hop along each coordinate, as a fraction of the width of the box; hops are uniform, and are mirrored
+        at the faces of the box.
+    temperature: temperature T of the Metropolis acceptance rule, in the unit of the objective; with 0 only a minimum
+        that is not worse is accepted.
+    patience: number of successive hops without a better minimum after which the search restarts at a uniform random
+        point.
     """
 
     step: Annotated[float, Gt(0.0), Le(1.0)] = 0.25
@@ -45,7 +49,7 @@ class BasinHopping(Solver):
             moved = np.abs(u + rng.uniform(-self.step, self.step, n))
             return np.where(moved > 1.0, 2.0 - moved, moved)
 
-        searched: Any = objective(problem, own=problem.has_gradient)  # SciPy's types know no jac=True
+        searched: Any = objective(problem, own=problem.has_gradient)  # SciPy's type stubs lack jac=True
         local: Any = {
             "method": "L-BFGS-B",
             "jac": True,
@@ -53,7 +57,7 @@ class BasinHopping(Solver):
             "options": {"ftol": 1e-12, "gtol": 1e-8, "maxiter": 2**31 - 1, "maxfun": 2**31 - 1},
         }
         while True:
-            with np.errstate(all="ignore"):  # a plateau of +inf is met with inf - inf
+            with np.errstate(all="ignore"):  # SciPy computes inf - inf on a plateau of +inf
                 basinhopping(
                     searched,
                     rng.random(n),

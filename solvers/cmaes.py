@@ -1,4 +1,4 @@
-"""CMA-ES of pycma, with restarts."""
+"""CMA-ES with restarts, from the library pycma."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from nfbench import AskTellSolver, Ge, Gt, Le, MeteredProblem, SolverInfo, Tune
 from ._finite import Finite
 
 with warnings.catch_warnings():
-    warnings.simplefilter("ignore")  # pycma warns where matplotlib is not installed
+    warnings.simplefilter("ignore")  # pycma warns if matplotlib is not installed
     import cma
 
 __all__ = ["CMAES"]
@@ -24,15 +24,16 @@ __all__ = ["CMAES"]
 
 @dataclass(frozen=True)
 class CMAES(AskTellSolver):
-    """Covariance matrix adaptation (pycma) in the unit box, started at uniform random points.
+    """Covariance matrix adaptation evolution strategy (pycma), started at uniform random points.
 
-    Outside points are mapped back by pycma's BoundTransform. A run ends when its steps fall below 1e-12 of the box's
-    width, the values of a generation within 1e-12 of the range the run has covered, or when pycma sees no progress.
+    The search runs in the unit box, and pycma's BoundTransform maps points outside it back into it. A run ends when its
+    steps are smaller than 1e-12 of the width of the box, when the values of a generation differ by less than 1e-12 of
+    the range of values in the run, or when pycma detects stagnation.
 
-    sigma0: initial standard deviation, as a fraction of the box's width.
-    population: λ of the first run; None: 4 + ⌊3 ln n⌋.
-    restarts: "ipop": each run doubles λ; "bipop": these alternate with runs of small λ and small steps, so that both
-        spend about the same; "none": one run.
+    sigma0: initial standard deviation, as a fraction of the width of the box.
+    population: population size λ of the first run; None: 4 + ⌊3 ln n⌋ for n unknowns.
+    restarts: "ipop" doubles λ in each new run; "bipop" alternates such runs with runs of small λ and small initial
+        steps, so that both kinds use about the same number of evaluations; "none" makes one run only.
     """
 
     sigma0: Annotated[float, Gt(0.0), Le(1.0), Tune(0.02, 1.0, log=True)] = 0.25
@@ -51,18 +52,18 @@ class CMAES(AskTellSolver):
 
 @final
 class _Runs:
-    """One CMA-ES run after the other."""
+    """Successive runs of CMA-ES."""
 
     def __init__(self, solver: CMAES, problem: MeteredProblem, rng: np.random.Generator) -> None:
         self.solver, self.problem, self.rng = solver, problem, rng
         self.default = solver.population or 4 + int(3 * math.log(problem.dimension))
         self.population = self.default
         self.doublings = 0
-        self.small = False  # the regime of the present run
-        self.spent = {True: 0, False: 0}  # evaluations in small and in large runs, without the first
-        self.large = 0  # evaluations of the latest run that was not small
-        self.evaluations = 0  # in the present run
-        self.limit = math.inf  # on them
+        self.small = False  # regime of the current run
+        self.spent = {True: 0, False: 0}  # evaluations of all small (True) and large (False) runs except the first
+        self.large = 0  # evaluations of the last large run
+        self.evaluations = 0  # evaluations of the current run
+        self.limit = math.inf  # maximum of self.evaluations
         self.begin(solver.sigma0)
 
     def begin(self, sigma: float) -> None:
@@ -70,7 +71,7 @@ class _Runs:
         options = {
             "popsize": self.population,
             "bounds": [0.0, 1.0],
-            "seed": np.nan,  # leaves the global generator alone
+            "seed": np.nan,  # makes pycma leave the global generator unchanged
             "randn": lambda *shape: self.rng.standard_normal(shape),
             "tolx": 1e-12,
             "tolfun": 0.0,
@@ -80,8 +81,8 @@ class _Runs:
             "signals_filename": "",
         }
         if n == 1:
-            options["maxstd_boundrange"] = math.inf  # otherwise pycma raises as soon as a step exceeds a third
-        with warnings.catch_warnings():  # pycma also adds to the filters
+            options["maxstd_boundrange"] = math.inf  # otherwise pycma raises when a step exceeds a third of the width
+        with warnings.catch_warnings():  # pycma also adds warning filters
             warnings.simplefilter("ignore")
             self.es: Any = cma.CMAEvolutionStrategy(self.rng.random(n), sigma, options)
         self.finite = Finite(start=0.0)

@@ -1,4 +1,4 @@
-"""CMA-ES, CR-FM-NES, differential evolution and BiteOpt of fcmaes."""
+"""CMA-ES, CR-FM-NES, PGPE, differential evolution and BiteOpt, from the library fcmaes."""
 
 from __future__ import annotations
 
@@ -19,13 +19,15 @@ __all__ = ["Fcmaes"]
 
 @dataclass(frozen=True)
 class Fcmaes(AskTellSolver):
-    """An algorithm of fcmaes (C++), in the unit box, from a uniform random point. It ends when the library says so.
+    """An algorithm of fcmaes (C++), run in the unit box from a uniform random point.
 
-    algorithm: ACMA: active CMA-ES; CRFMNES: fast moving natural evolution strategy; PGPE: policy gradients;
-        DE: differential evolution with temporal locality; Bite: BiteOpt.
-    sigma0: initial step, as a fraction of the box's width; DE and Bite have none.
-    population: points of a generation; None: the library's choice.
-    horizon: evaluations to plan for where the budget does not count them.
+    The run ends when the budget is used up or the library reports that the algorithm has ended.
+
+    algorithm: "ACMA" is active CMA-ES; "CRFMNES" is the fast moving natural evolution strategy CR-FM-NES; "PGPE" uses
+        policy gradients; "DE" is differential evolution with temporal locality; "Bite" is BiteOpt.
+    sigma0: initial standard deviation, as a fraction of the width of the box; DE and Bite do not use it.
+    population: number of points per generation; None: the library's default.
+    horizon: number of evaluations to plan for if the budget does not limit them; only ACMA and Bite use it.
     """
 
     algorithm: Literal["ACMA", "CRFMNES", "PGPE", "DE", "Bite"] = "DE"
@@ -49,7 +51,7 @@ class Fcmaes(AskTellSolver):
         n = problem.dimension
         settings: dict[str, Any] = {"bounds": Bounds(np.zeros(n), np.ones(n)), "rg": rng, "x0": rng.random(n)}
         if self.algorithm == "DE":
-            del settings["x0"]  # it starts from a population of its own
+            del settings["x0"]  # DE starts from its own random population
         elif self.algorithm != "Bite":
             settings["input_sigma"] = self.sigma0
         if self.algorithm in ("ACMA", "Bite"):
@@ -61,7 +63,7 @@ class Fcmaes(AskTellSolver):
 
 @final
 class _Running:
-    """An ask/tell state of fcmaes on the unit box."""
+    """The ask/tell state of a fcmaes algorithm on the unit box."""
 
     def __init__(self, state: Any, problem: MeteredProblem) -> None:
         self.state, self.problem = state, problem

@@ -1,4 +1,4 @@
-"""Adaptive differential evolution, particle swarms and CMA-ES of MinionPy."""
+"""Adaptive differential evolution, particle swarms and CMA-ES, from the library MinionPy."""
 
 from __future__ import annotations
 
@@ -17,14 +17,16 @@ __all__ = ["MinionPy"]
 
 @dataclass(frozen=True)
 class MinionPy(Solver):
-    """An algorithm of MinionPy (C++), in the unit box. It ends when the library takes it for converged.
+    """An algorithm of MinionPy (C++), run in the unit box.
 
-    The library plans for the whole budget: most of its algorithms shrink their population towards its end. RDEX and
-    RCMAES are left out, as they leave the box; DA and L_BFGS_B print when they are stopped, and SciPy's are here.
+    The run ends when the budget is used up or the library considers the algorithm converged. The library plans for the
+    whole budget: most of its algorithms shrink their population towards the end. RDEX and RCMAES are not offered
+    because they leave the box. DA and L_BFGS_B are not offered because they print messages when they are stopped; use
+    SciPy's versions instead.
 
-    algorithm: by MinionPy's name. NelderMead searches locally.
-    population: individuals at the start; None: the library's choice.
-    horizon: evaluations to plan for where the budget does not count them.
+    algorithm: algorithm by MinionPy's name. NelderMead is a local search.
+    population: initial number of individuals; None: the library's default.
+    horizon: number of evaluations to plan for if the budget does not limit them.
     """
 
     algorithm: Literal[
@@ -82,4 +84,4 @@ class MinionPy(Solver):
         try:
             stop.run(minimizer.optimize)
         finally:
-            minimizer.optimizer = None  # its hold on the objective is hidden from the garbage collector
+            minimizer.optimizer = None  # the garbage collector cannot see its reference to the objective

@@ -1,4 +1,4 @@
-"""Local search from many random starts: L-BFGS-B of SciPy."""
+"""Local searches by SciPy's L-BFGS-B from many random starting points."""
 
 from __future__ import annotations
 
@@ -17,15 +17,16 @@ __all__ = ["MultistartLBFGSB"]
 
 @dataclass(frozen=True)
 class MultistartLBFGSB(Solver):
-    """L-BFGS-B in the unit box, started again at a uniform random point whenever it has converged.
+    """L-BFGS-B in the unit box, restarted at a uniform random point whenever it has converged.
 
-    starts: local searches; None: until the budget ends.
-    gradient: "auto": the problem's own where it has one, else forward differences; "difference": always differences.
-        A gradient by differences is one batch of n + 1 points, all counted, none outside the box.
-    step: of the differences, as a fraction of the box's width.
-    corrections: m, the pairs from which L-BFGS-B builds the Hessian.
-    ftol: a search ends when the value falls by less than ftol·max(|f|, 1) in an iteration.
-    gtol: a search ends when no component of the projected gradient, per width of the box, exceeds gtol.
+    starts: number of local searches; None: restart until the budget is used up.
+    gradient: "auto" uses the problem's gradient if it has one, and forward differences otherwise; "difference" always
+        uses forward differences. A gradient by differences takes one batch of n + 1 points for n unknowns. All of them
+        count as evaluations, and none lies outside the box.
+    step: step of the forward differences, as a fraction of the width of the box.
+    corrections: number m of correction pairs from which L-BFGS-B approximates the Hessian.
+    ftol: a search ends when an iteration lowers the value by no more than ftol·max(|f_k|, |f_k+1|, 1).
+    gtol: a search ends when no component of the projected gradient, taken in the unit box, exceeds gtol.
     """
 
     starts: Annotated[int, Ge(1)] | None = None
@@ -45,7 +46,7 @@ class MultistartLBFGSB(Solver):
         started = 0
         while self.starts is None or started < self.starts:
             started += 1
-            with np.errstate(all="ignore"):  # a plateau of +inf is met with inf - inf
+            with np.errstate(all="ignore"):  # SciPy computes inf - inf on a plateau of +inf
                 minimize(
                     searched,
                     rng.random(n),

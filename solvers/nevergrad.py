@@ -1,4 +1,4 @@
-"""Every optimizer of Nevergrad's registry."""
+"""All optimizers in the registry of Nevergrad."""
 
 from __future__ import annotations
 
@@ -22,13 +22,14 @@ __all__ = ["Nevergrad"]
 
 @dataclass(frozen=True)
 class Nevergrad(Solver):
-    """An optimizer of Nevergrad, in the unit box, point by point, until the budget ends.
+    """An optimizer of Nevergrad, run point by point in the unit box until the budget is used up.
 
-    Many of them choose their method by the budget and the number of unknowns. A point costs Nevergrad a tenth of a
-    millisecond and more, and those with a surrogate ("BO", "MetaModel" …) far more the more points there were.
+    Many of the optimizers choose their method from the budget and the number of unknowns. Nevergrad itself takes 0.1 ms
+    or more per point; optimizers with a surrogate model ("BO", "MetaModel" …) become much slower with the number of
+    points.
 
-    algorithm: a name in ``nevergrad.optimizers.registry``: "NGOpt", "DE", "TwoPointsDE", "PSO", "OnePlusOne", "CMA" …
-    horizon: evaluations to plan for where the budget does not count them.
+    algorithm: name in ``nevergrad.optimizers.registry``: "NGOpt", "DE", "TwoPointsDE", "PSO", "OnePlusOne", "CMA" …
+    horizon: number of evaluations to plan for if the budget does not limit them.
     """
 
     algorithm: str = "TwoPointsDE"
@@ -42,12 +43,12 @@ class Nevergrad(Solver):
 
     def validate(self) -> None:
         if importlib.util.find_spec("nevergrad") is None:
-            return  # whoever wants to use it is told so
+            return  # the registry reports the missing library when the solver is used
         known = _registry()
         if self.algorithm not in known:
             near = difflib.get_close_matches(self.algorithm, known, n=3)
             hint = f"; did you mean {' or '.join(near)}?" if near else "; e.g. NGOpt, DE, PSO, OnePlusOne, CMA"
-            text = f"expected an optimizer of Nevergrad, got {self.algorithm!r}{hint}"
+            text = f"expected the name of a Nevergrad optimizer, got {self.algorithm!r}{hint}"
             raise OptionError(type(self).__name__, [("algorithm", text)])
 
     def warm_up(self) -> None:
@@ -58,9 +59,9 @@ class Nevergrad(Solver):
 
         finite = Finite(start=0.0)
         seeds = rng.integers(2**31 - 1, size=2).tolist()
-        with global_random(seeds[0]):  # some of the optimizers draw from NumPy's
+        with global_random(seeds[0]):  # some optimizers use NumPy's global generator
             box = Array(init=rng.random(problem.dimension), lower=0.0, upper=1.0)
-            box.random_state = np.random.RandomState(seeds[1])  # Nevergrad's own kind
+            box.random_state = np.random.RandomState(seeds[1])  # the type that Nevergrad requires
             with _quiet():
                 optimizer = _registry()[self.algorithm](box, budget=planned(problem, self.horizon))
             while problem.remaining:
@@ -72,7 +73,7 @@ class Nevergrad(Solver):
 
 
 def _registry() -> Mapping[str, Any]:
-    """The optimizers by name."""
+    """Return the optimizers by name."""
     with _quiet():
         from nevergrad.optimization import registry
     return dict(registry)
@@ -80,7 +81,7 @@ def _registry() -> Mapping[str, Any]:
 
 @contextlib.contextmanager
 def _quiet() -> Iterator[None]:
-    """Without Nevergrad's advice on settings that it holds for inefficient, and NumPy's warnings."""
+    """Suppress NumPy's warnings and Nevergrad's warnings about inefficient settings."""
     with warnings.catch_warnings(), np.errstate(all="ignore"):
         warnings.simplefilter("ignore")
         yield

@@ -29,8 +29,8 @@ __all__ = [
     "StoGORand",
 ]
 
-AGS_DIMENSIONS = 10  # compiled into NLopt
-STOP = -1e300  # below the value at which every algorithm of NLopt ends
+AGS_DIMENSIONS = 10  # the limit that is compiled into NLopt
+STOP = -1e300  # below NLopt's stopval (0.5·STOP), so that every algorithm ends when it receives this value
 
 
 def run(
@@ -40,18 +40,22 @@ def run(
     population: int | None = None,
     local: Any = None,
 ) -> None:
-    """Run an NLopt algorithm in the unit box until the budget or the algorithm ends.
+    """Run an NLopt algorithm in the unit box until the budget is used up or the algorithm ends.
 
-    It starts at a uniform random point, where it starts at one. NLopt has one generator for the whole process, which is
-    seeded from ``rng`` first. +inf, at which DIRECT gives up and AGS crashes, is replaced by the worst finite value,
-    where it is flat. A value with its gradient is one evaluation.
+    An algorithm that needs a starting point starts at a uniform random point. NLopt has one generator for the whole
+    process; it is seeded from ``rng`` before each run. The value +inf makes DIRECT give up and AGS crash, so it is
+    replaced by the worst finite value so far, with a zero gradient. A value together with its gradient counts as one
+    evaluation.
+
+    population: population size; None: NLopt's default.
+    local: NLopt optimizer for the local searches of MLSL; None for the other algorithms.
     """
     n = problem.dimension
     width = problem.upper - problem.lower
     finite = Finite(start=1e100)
     ended: list[BaseException] = []
 
-    def ask(u: Float[ndarray, " n"], gradient: Float[ndarray, " m"]) -> float:
+    def evaluate(u: Float[ndarray, " n"], gradient: Float[ndarray, " m"]) -> float:
         x = problem.from_unit(u)
         if not gradient.size:
             return finite.one(problem(x))
@@ -62,8 +66,8 @@ def run(
     def objective(u: Float[ndarray, " n"], gradient: Float[ndarray, " m"]) -> float:
         if not ended:
             try:
-                return ask(u, gradient)
-            except BaseException as error:  # StoGO would ask on for ever, L-BFGS call it a failure
+                return evaluate(u, gradient)
+            except BaseException as error:  # StoGO would continue forever, and L-BFGS would report a failure
                 ended.append(error)
         gradient[:] = 0.0
         return STOP
@@ -79,17 +83,17 @@ def run(
         optimizer.set_local_optimizer(local)
     nlopt.srand(int(rng.integers(1, 2**31 - 1)))
     try:
-        with contextlib.suppress(nlopt.RoundoffLimited):  # it can tell the values apart no further: an end
+        with contextlib.suppress(nlopt.RoundoffLimited):  # rounding errors prevent further progress
             optimizer.optimize(rng.random(n))
     finally:
-        del optimizer  # its hold on the objective, and by it on an error's frames, is hidden from the garbage collector
+        del optimizer  # the garbage collector cannot see its reference to the objective and to an error's frames
         if ended:
             raise ended.pop()
 
 
 @dataclass(frozen=True)
 class Direct(Solver):
-    """DIRECT: dividing rectangles."""
+    """DIRECT (dividing rectangles), as implemented in NLopt."""
 
     info: ClassVar[SolverInfo] = SolverInfo(
         stochastic=False, reference="Jones, Perttunen & Stuckman 1993, doi:10.1007/BF00941892"
@@ -101,7 +105,7 @@ class Direct(Solver):
 
 @dataclass(frozen=True)
 class DirectL(Solver):
-    """DIRECT-L: locally biased DIRECT."""
+    """DIRECT-L, the locally biased variant of DIRECT, as implemented in NLopt."""
 
     info: ClassVar[SolverInfo] = SolverInfo(
         stochastic=False, reference="Gablonsky & Kelley 2001, doi:10.1023/A:1017930332101"
@@ -113,7 +117,7 @@ class DirectL(Solver):
 
 @dataclass(frozen=True)
 class DirectLRand(Solver):
-    """DIRECT-L that chooses at random which of several longest sides to divide."""
+    """DIRECT-L that chooses at random which one to divide if a rectangle has several longest sides."""
 
     info: ClassVar[SolverInfo] = SolverInfo(
         reference="Gablonsky & Kelley 2001, doi:10.1023/A:1017930332101; Johnson (NLopt)"
@@ -125,9 +129,9 @@ class DirectLRand(Solver):
 
 @dataclass(frozen=True)
 class CRS2LM(Solver):
-    """Controlled random search with local mutation.
+    """Controlled random search with local mutation, as implemented in NLopt.
 
-    population: points kept; at least n + 1; None: NLopt's 10·(n + 1).
+    population: number of points kept, at least n + 1 for n unknowns; None: NLopt's default, 10·(n + 1).
     """
 
     population: Annotated[int, Ge(2)] | None = None
@@ -145,9 +149,9 @@ class CRS2LM(Solver):
 
 @dataclass(frozen=True)
 class ISRES(Solver):
-    """Improved stochastic ranking evolution strategy.
+    """Improved stochastic ranking evolution strategy, as implemented in NLopt.
 
-    population: offspring of a generation; None: NLopt's 20·(n + 1).
+    population: number of offspring per generation; None: NLopt's default, 20·(n + 1) for n unknowns.
     """
 
     population: Annotated[int, Ge(1)] | None = None
@@ -160,9 +164,9 @@ class ISRES(Solver):
 
 @dataclass(frozen=True)
 class ESCH(Solver):
-    """Evolution strategy with Cauchy mutation.
+    """Evolution strategy with Cauchy mutation, as implemented in NLopt.
 
-    population: parents; a generation has as many offspring again by half; None: NLopt's 40.
+    population: number of parents; a generation has 1.5 times as many offspring; None: NLopt's default, 40.
     """
 
     population: Annotated[int, Ge(1)] | None = None
@@ -178,12 +182,12 @@ class ESCH(Solver):
 
 @dataclass(frozen=True)
 class MLSL(Solver):
-    """Multi-level single linkage from low-discrepancy points: local searches, one for each basin.
+    """Multi-level single linkage: local searches from low-discrepancy points, ideally one per basin of attraction.
 
-    local: the local search; all are derivative-free (COBYLA is left out: on plateaus it asks for NaN).
-    population: points sampled in each round; None: NLopt's 4.
-    xtol: a local search ends when its steps fall below this fraction of the box.
-    ftol: a local search ends when its steps change the value relatively by less.
+    local: derivative-free algorithm of the local searches. COBYLA is not offered because it evaluates NaN on plateaus.
+    population: number of points sampled per round; None: NLopt's default, 4.
+    xtol: a local search ends when its steps are smaller than this fraction of the width of the box.
+    ftol: a local search ends when a step changes the value by less than this fraction of the value.
     """
 
     local: Literal["sbplx", "nelder-mead", "bobyqa"] = "sbplx"
@@ -206,14 +210,15 @@ class MLSL(Solver):
 
 @dataclass(frozen=True)
 class MLSLLBFGS(Solver):
-    """Multi-level single linkage with local searches by L-BFGS, which follow the problem's gradient.
+    """Multi-level single linkage with local searches by L-BFGS, which use the problem's gradient.
 
-    NLopt's L-BFGS may give up in a narrow valley, and MLSL with it; it then begins anew, from random points.
+    NLopt's L-BFGS may give up in a narrow valley, which also ends MLSL; MLSL is then restarted with random points.
 
-    sampling: "low-discrepancy": Sobol points; "random": uniform ones, as of the original.
-    population: points sampled in each round; None: NLopt's 4.
-    xtol: a local search ends when its steps fall below this fraction of the box.
-    ftol: a local search ends when its steps change the value relatively by less.
+    sampling: starting points of the local searches: "low-discrepancy" for Sobol points, "random" for uniform points as
+        in the original paper.
+    population: number of points sampled per round; None: NLopt's default, 4.
+    xtol: a local search ends when its steps are smaller than this fraction of the width of the box.
+    ftol: a local search ends when a step changes the value by less than this fraction of the value.
     """
 
     sampling: Literal["low-discrepancy", "random"] = "low-discrepancy"
@@ -236,12 +241,12 @@ class MLSLLBFGS(Solver):
             try:
                 return run(algorithm, problem, rng, self.population, local)
             except nlopt.runtime_error:
-                algorithm = nlopt.G_MLSL  # Sobol points would be the same again
+                algorithm = nlopt.G_MLSL  # the sequence of Sobol points would be the same again
 
 
 @dataclass(frozen=True)
 class StoGO(Solver):
-    """StoGO: branch and bound of boxes by the gradient descents that leave them or end in them."""
+    """StoGO: branch and bound on boxes, based on whether gradient descents from a box leave it or end in it."""
 
     info: ClassVar[SolverInfo] = SolverInfo(
         stochastic=False,
@@ -255,7 +260,7 @@ class StoGO(Solver):
 
 @dataclass(frozen=True)
 class StoGORand(Solver):
-    """StoGO with random points in each box."""
+    """StoGO with additional random points in each box."""
 
     info: ClassVar[SolverInfo] = SolverInfo(
         needs_gradient=True,
@@ -268,7 +273,10 @@ class StoGORand(Solver):
 
 @dataclass(frozen=True)
 class AGS(Solver):
-    """Adaptive global search along a space-filling curve, for at most 10 unknowns, to a grid of 2⁻¹² of the box."""
+    """Adaptive global search along a space-filling curve, for at most 10 unknowns.
+
+    Its resolution is a grid with a step of 2⁻¹² of the width of the box.
+    """
 
     info: ClassVar[SolverInfo] = SolverInfo(
         stochastic=False, converges=False, reference="Sergeyev & Markin 1995, J. Global Optimization 7(4)"
@@ -277,6 +285,6 @@ class AGS(Solver):
     def minimize(self, problem: MeteredProblem, rng: np.random.Generator) -> None:
         if problem.dimension > AGS_DIMENSIONS:
             raise Incompatible(
-                f"AGS handles at most {AGS_DIMENSIONS} unknowns, and the problem has {problem.dimension}"
+                f"nlopt-ags: expected a problem with at most {AGS_DIMENSIONS} unknowns, got {problem.dimension}"
             )
         run(nlopt.GN_AGS, problem, rng)

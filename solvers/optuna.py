@@ -1,4 +1,4 @@
-"""Samplers of Optuna."""
+"""The samplers of Optuna."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ __all__ = ["Optuna"]
 
 @dataclass(frozen=True)
 class Optuna(Solver):
-    """A sampler of Optuna, in the unit box, point by point, until the budget ends.
+    """A sampler of Optuna, run point by point in the unit box until the budget is used up.
 
-    Optuna is made for values that take long to evaluate: a point costs it a fraction of a millisecond, and with "tpe"
-    the more the more points there were. GPSampler is left out, as it needs PyTorch.
+    Optuna is intended for objectives that are expensive to evaluate. It takes a fraction of a millisecond per point;
+    with "tpe" this time grows with the number of points. GPSampler is not offered because it requires PyTorch.
 
-    algorithm: "cmaes": CMA-ES, for at least 2 unknowns; "tpe": tree-structured Parzen estimators; "nsgaii": a genetic
-        algorithm; "qmc": scrambled Sobol' points; "random": uniform points.
-    population: of "cmaes" and "nsgaii"; None: Optuna's choice.
+    algorithm: "cmaes" is CMA-ES, for at least 2 unknowns; "tpe" is the tree-structured Parzen estimator; "nsgaii" is a
+        genetic algorithm; "qmc" draws scrambled Sobol' points; "random" draws uniform points.
+    population: population size of "cmaes" and "nsgaii"; None: Optuna's default. The other algorithms do not accept it.
     """
 
     algorithm: Literal["cmaes", "tpe", "nsgaii", "qmc", "random"] = "cmaes"
@@ -41,7 +41,8 @@ class Optuna(Solver):
 
     def validate(self) -> None:
         if self.population is not None and self.algorithm not in ("cmaes", "nsgaii"):
-            raise ValueError(f"population: expected none, as {self.algorithm} has no population, got {self.population}")
+            text = f"expected none, because {self.algorithm} has no such option, got {self.population}"
+            raise ValueError(f"population: {text}")
 
     def warm_up(self) -> None:
         import cmaes  # noqa: F401
@@ -52,18 +53,18 @@ class Optuna(Solver):
 
         n = problem.dimension
         if self.algorithm == "cmaes" and n < 2:
-            raise Incompatible("Optuna's CMA-ES needs at least 2 unknowns, and the problem has 1")
+            raise Incompatible('algorithm="cmaes": expected a problem with at least 2 unknowns, got 1')
         finite = Finite(start=0.0)
         unit = {f"u{j}": optuna.distributions.FloatDistribution(0.0, 1.0) for j in range(n)}
         with _silent(optuna.logging):
             study = optuna.create_study(sampler=self.sampler(optuna.samplers, int(rng.integers(2**31 - 1))))
-            while True:  # the budget ends it
+            while True:  # until BudgetExhausted is raised
                 trial = study.ask(unit)
                 u = np.array([trial.params[name] for name in unit])
                 study.tell(trial, finite.one(problem(from_unit(problem, u))))
 
     def sampler(self, samplers: Any, seed: int) -> Any:
-        """The sampler, made from one seed."""
+        """Construct the sampler with the given seed."""
         if self.algorithm == "cmaes":
             return samplers.CmaEsSampler(seed=seed, popsize=self.population)
         if self.algorithm == "nsgaii":
@@ -77,12 +78,12 @@ class Optuna(Solver):
 
 @contextlib.contextmanager
 def _silent(logging: Any) -> Iterator[None]:
-    """Optuna's messages off within this context: it tells of every study it begins."""
+    """Suppress Optuna's messages, which it otherwise logs for every study, and its warnings."""
     level = logging.get_verbosity()
     logging.set_verbosity(logging.ERROR)
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # experimental samplers
+            warnings.simplefilter("ignore")  # warnings about experimental samplers
             yield
     finally:
         logging.set_verbosity(level)

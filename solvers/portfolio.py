@@ -1,4 +1,4 @@
-"""A portfolio: several solvers share one budget."""
+"""A portfolio of several solvers that share one budget."""
 
 from __future__ import annotations
 
@@ -25,17 +25,17 @@ __all__ = ["Portfolio"]
 
 @dataclass(frozen=True)
 class Portfolio(Solver):
-    """Runs several solvers one after another on slices of the budget; the best point of all counts.
+    """Runs several solvers one after another, each on a slice of the budget; the best point of all is the result.
 
-    A solver knows nothing of the others, and sees its slice as its budget. Each slice is a solver's share, by weight,
-    among itself and those after it, of what is left; so what a solver leaves that ends early goes to the later ones.
-    What the last leaves is shared in the same way in another round, in which those that had used their whole slice
-    begin anew.
-    Every start has a generator of its own, ``rng.spawn(1)[0]``. Slices are of evaluations, and of seconds where
-    the budget has them. The population kept is that of the solver that ran last.
+    The solvers run independently of each other, and each sees its slice as its budget. The remaining budget is divided
+    by weight among the current solver and those after it; the budget that a solver does not use is therefore available
+    to the later ones. If the last solver leaves some of the budget, another round divides it in the same way among the
+    solvers that used their whole slice, which are then restarted.
+    Every start has its own random generator, ``rng.spawn(1)[0]``. The slices divide the evaluations and, if the budget
+    has a limit in seconds, also the time. The population that is kept is that of the solver that ran last.
 
-    solvers: tables such as ``{ kind = "cmaes", sigma0 = 0.3 }``, in the order they run.
-    weights: of the slices, one for each solver; None: equal ones.
+    solvers: list of tables such as ``{ kind = "cmaes", sigma0 = 0.3 }``, in the order in which the solvers run.
+    weights: relative sizes of the slices, one positive number per solver; None: equal slices.
     """
 
     solvers: tuple[NestedSolver, ...] = field(
@@ -49,22 +49,22 @@ class Portfolio(Solver):
 
     def validate(self) -> None:
         if not self.solvers:
-            raise OptionError("Portfolio", [("solvers", "expected one or more, got none")])
+            raise OptionError("Portfolio", [("solvers", "expected one or more solvers, got none")])
         if self.weights is not None and len(self.weights) != len(self.solvers):
             text = f"expected {len(self.solvers)} numbers, one for each solver, got {len(self.weights)}"
             raise OptionError("Portfolio", [("weights", text)])
         object.__setattr__(self, "info", combined_info(type(self).info, map(solver_of, self.solvers)))
 
     def warm_up(self) -> None:
-        for named in self.solvers:
-            solver_of(named).warm_up()
+        for nested in self.solvers:
+            solver_of(nested).warm_up()
 
     def minimize(self, problem: MeteredProblem, rng: np.random.Generator) -> None:
-        turns = list(zip(map(solver_of, self.solvers), self.weights or [1.0] * len(self.solvers), strict=True))
-        while turns:
-            cut = []  # those stopped by the end of their slice
-            for i, (solver, weight) in enumerate(turns):
-                part = problem.part(weight / sum(other for _, other in turns[i:]))
+        active = list(zip(map(solver_of, self.solvers), self.weights or [1.0] * len(self.solvers), strict=True))
+        while active:
+            stopped = []  # solvers that used their whole slice
+            for i, (solver, weight) in enumerate(active):
+                part = problem.part(weight / sum(other for _, other in active[i:]))
                 if not run_part(solver, part, rng):
-                    cut.append((solver, weight))
-            turns = cut
+                    stopped.append((solver, weight))
+            active = stopped

@@ -17,20 +17,20 @@ from ._wrapped import from_unit, planned
 __all__ = ["Pygmo"]
 
 COUNT_MAX = 2**31 - 1
-ANTS = 63  # gaco draws from a kernel of that many individuals
-TOLERANT = ("cmaes", "de", "de1220", "sade", "xnes")  # would end when the population has contracted
+ANTS = 63  # size of the kernel of individuals from which gaco draws
+TOLERANT = ("cmaes", "de", "de1220", "sade", "xnes")  # by default they end when the population has contracted
 
 
 @dataclass(frozen=True)
 class Pygmo(Solver):
-    """An algorithm of pygmo, in the unit box, from a uniform random population, until the budget ends.
+    """An algorithm of pygmo, run in the unit box from a uniform random population until the budget is used up.
 
-    Its stops by tolerance are off. simulated_annealing and compass_search improve the best individual again and again,
-    and end when that leads no further; compass_search searches locally.
+    The stopping rules by tolerance are switched off. simulated_annealing and compass_search improve the best individual
+    repeatedly, and end when they make no further evaluations.
 
-    algorithm: by pygmo's name.
-    population: individuals.
-    horizon: evaluations to plan for where the budget does not count them (ihs changes its parameters with them).
+    algorithm: algorithm by pygmo's name. compass_search is a local search.
+    population: number of individuals; gaco needs at least 63.
+    horizon: number of evaluations to plan for if the budget does not limit them; ihs adapts its parameters to it.
     """
 
     algorithm: Literal[
@@ -67,9 +67,9 @@ class Pygmo(Solver):
 
         seeds = rng.integers(2**31 - 1, size=2).tolist()
         user_algorithm = getattr(pygmo, self.algorithm)(**self.settings(problem, seeds[0]))
-        whole = hasattr(user_algorithm, "set_bfe")  # it can have a generation evaluated at once
+        evaluates_batches = hasattr(user_algorithm, "set_bfe")
         evaluator = pygmo.bfe(pygmo.member_bfe())
-        if whole:
+        if evaluates_batches:
             user_algorithm.set_bfe(evaluator)
         algorithm = pygmo.algorithm(user_algorithm)
         population = pygmo.population(pygmo.problem(_Box(problem)), self.population, b=evaluator, seed=seeds[1])
@@ -79,7 +79,7 @@ class Pygmo(Solver):
             population = algorithm.evolve(population)
 
     def settings(self, problem: MeteredProblem, seed: int) -> dict[str, Any]:
-        """What the algorithm is constructed with."""
+        """Return the arguments with which the algorithm is constructed."""
         budget = min(planned(problem, self.horizon), COUNT_MAX)
         if self.algorithm == "compass_search":
             return {"max_fevals": budget, "stop_range": 1e-12}
@@ -97,7 +97,7 @@ class Pygmo(Solver):
 
 @final
 class _Box:
-    """The problem as pygmo wants it; copies, which pygmo makes, are the same meter."""
+    """The problem with the interface that pygmo requires; a copy, which pygmo makes, refers to the same meter."""
 
     def __init__(self, problem: MeteredProblem) -> None:
         self.problem = problem

@@ -1,4 +1,4 @@
-"""Single-objective algorithms of pymoo."""
+"""The single-objective algorithms of pymoo."""
 
 from __future__ import annotations
 
@@ -38,13 +38,14 @@ MODULES = {
 
 @dataclass(frozen=True)
 class Pymoo(Solver):
-    """A single-objective algorithm of pymoo, in the unit box, until the budget or the algorithm ends.
+    """A single-objective algorithm of pymoo, run in the unit box until the budget is used up or the algorithm ends.
 
-    PatternSearch is left out, as its runs do not repeat from a seed, and DIRECT, as it takes minutes where SciPy's and
-    NLopt's take seconds.
+    Two algorithms are not offered: PatternSearch, because its runs are not reproducible from a seed, and DIRECT,
+    because it takes minutes where those of SciPy and NLopt take seconds.
 
-    algorithm: by pymoo's name, with pymoo's defaults. NelderMead searches locally.
-    population: individuals, in ES, SRES and ISRES offspring, of the algorithms that have them; None: pymoo's choice.
+    algorithm: algorithm by pymoo's name, with pymoo's default settings. NelderMead is a local search.
+    population: number of individuals, or of offspring for ES, SRES and ISRES; None: pymoo's default. CMAES, BIPOPCMAES
+        and NelderMead do not accept it.
     """
 
     algorithm: Literal[
@@ -73,13 +74,14 @@ class Pymoo(Solver):
 
     def validate(self) -> None:
         if self.population is not None and self.algorithm not in (*WITH_POPULATION, *WITH_OFFSPRING):
-            raise ValueError(f"population: expected none, as {self.algorithm} has no population, got {self.population}")
+            text = f"expected none, because {self.algorithm} has no such option, got {self.population}"
+            raise ValueError(f"population: {text}")
 
     def warm_up(self) -> None:
         self.load()
 
     def load(self) -> Any:
-        """The algorithm's class."""
+        """Import and return the class of the algorithm."""
         module = importlib.import_module(f"pymoo.algorithms.soo.nonconvex.{MODULES[self.algorithm]}")
         return getattr(module, self.algorithm)
 
@@ -100,6 +102,6 @@ class Pymoo(Solver):
         box = Box(n_var=problem.dimension, n_obj=1, xl=0.0, xu=1.0)
         seed = int(rng.integers(2**31 - 1))
         algorithm.setup(box, termination=NoTermination(), seed=seed, verbose=False)
-        with np.errstate(all="ignore"), global_random(seed):  # its CMA-ES draws from NumPy's
+        with np.errstate(all="ignore"), global_random(seed):  # pymoo's CMA-ES uses NumPy's global generator
             while algorithm.has_next():
                 algorithm.next()

@@ -1,4 +1,4 @@
-"""Random search: what any solver must beat."""
+"""Random search, the baseline that every solver should beat."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ __all__ = ["RandomSearch"]
 
 @dataclass(frozen=True)
 class RandomSearch(AskTellSolver):
-    """Independent points, uniform in the box, until the budget ends.
+    """Evaluates independent random points, uniform in the box, until the budget is used up.
 
-    batch: points evaluated at a time; it changes the speed, not the points.
+    batch: number of points per evaluation call; it changes the speed, but not the points.
     """
 
     batch: Annotated[int, Ge(1)] = 256
@@ -33,7 +33,7 @@ class RandomSearch(AskTellSolver):
 
 @final
 class _Uniform:
-    """Remembers nothing."""
+    """Draws uniform points and ignores their values."""
 
     def __init__(self, problem: MeteredProblem, rng: np.random.Generator, batch: int) -> None:
         self.problem, self.rng, self.batch = problem, rng, batch

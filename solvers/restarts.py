@@ -1,4 +1,4 @@
-"""Restarts: a solver again and again, as long as the budget lasts."""
+"""Restarts of one solver until the budget is used up."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ __all__ = ["Restarts"]
 
 @dataclass(frozen=True)
 class Restarts(Solver):
-    """Starts a stochastic solver anew whenever it has ended, until the budget ends; the best point of all counts.
+    """Restarts a stochastic solver whenever it ends, until the budget is used up; the best point of all is the result.
 
-    Every start has a generator of its own, ``rng.spawn(1)[0]``, and knows nothing of those before. The population kept
-    is that of the last start.
+    Every start has its own random generator, ``rng.spawn(1)[0]``, and is independent of the earlier ones. The
+    population that is kept is that of the last start.
 
-    solver: a table such as ``{ kind = "de", population = 20, generations = 60 }``; by default CMA-ES without its own
+    solver: table such as ``{ kind = "de", population = 20, generations = 60 }``; the default is CMA-ES without its own
         restarts.
-    evaluations: what each start may spend, which the solver sees as its budget; None: all that is left, so that
-        only a solver that ends by itself is started anew.
+    evaluations: maximum number of evaluations per start, which the solver sees as its budget; None: the whole remaining
+        budget, so that only a solver that ends by itself is restarted.
     """
 
     solver: NestedSolver = field(default_factory=lambda: nested_solver("cmaes", restarts="none"))
@@ -46,7 +46,7 @@ class Restarts(Solver):
     def validate(self) -> None:
         solver = solver_of(self.solver)
         if not solver.info.stochastic:
-            text = f"expected one that is random, as others repeat themselves, got {self.solver.kind!r}"
+            text = f"expected a stochastic solver, because others would repeat the same run, got {self.solver.kind!r}"
             raise OptionError("Restarts", [("solver.kind", text)])
         object.__setattr__(self, "info", combined_info(type(self).info, [solver]))
 
@@ -55,8 +55,8 @@ class Restarts(Solver):
 
     def minimize(self, problem: MeteredProblem, rng: np.random.Generator) -> None:
         solver = solver_of(self.solver)
-        while True:  # the budget ends it
+        while True:  # until BudgetExhausted is raised
             part = problem.part(evaluations=self.evaluations)
             run_part(solver, part, rng)
-            if not part.evaluations:  # nor would it do anything in another start
+            if not part.evaluations:  # another start would not evaluate anything either
                 return

@@ -1,4 +1,4 @@
-"""Differential evolution of SciPy, with all its strategies."""
+"""SciPy's differential evolution, with all its strategies."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ F: TypeAlias = Annotated[float, Ge(0.0), Le(2.0)]
 class ScipyDE(Solver):
     """``scipy.optimize.differential_evolution``, vectorized, with synchronous ("deferred") generations.
 
-    population: individuals, an absolute number (SciPy's own ``popsize`` is per unknown).
-    strategy: mutation and crossover, in SciPy's names.
-    mutation: F, or (low, high) from which each generation draws F; in [0, 2].
+    population: number of individuals. It is an absolute number, whereas SciPy's own ``popsize`` is per unknown.
+    strategy: mutation and crossover strategy, by SciPy's name.
+    mutation: differential weight F in [0, 2], or an interval (low, high) from which each generation draws F.
     recombination: crossover probability, in [0, 1].
-    init: how the initial population is spread.
-    tol: ends when the standard deviation of the population's values is at most tol times their mean's magnitude; at 0
-        only when all are equal, so that the budget ends it.
-    polish: when ended by ``tol``, refine the best by L-BFGS-B with what is left of the budget.
+    init: distribution of the initial population in the box.
+    tol: the run ends when the standard deviation of the population's values is at most tol times the magnitude of their
+        mean. With 0 the run ends only if all values are equal, and otherwise when the budget is used up.
+    polish: whether to refine the best point by L-BFGS-B, with the rest of the budget, when ``tol`` ends the run.
     """
 
     population: Annotated[int, Ge(5), Tune(10, 200, log=True)] = 50
@@ -70,9 +70,9 @@ class ScipyDE(Solver):
 
         def objective(U: Float[ndarray, "n ..."], /) -> Any:
             X = problem.from_unit(U.T)
-            return problem(X) if X.ndim == 1 else problem.evaluate(X)  # the polish asks point by point
+            return problem(X) if X.ndim == 1 else problem.evaluate(X)  # the polishing step evaluates single points
 
-        with np.errstate(all="ignore"):  # the polish meets +inf with inf - inf
+        with np.errstate(all="ignore"):  # the polishing step computes inf - inf where the problem is +inf
             differential_evolution(
                 objective,
                 Bounds(np.zeros(n), np.ones(n)),

@@ -1,4 +1,4 @@
-"""DIRECT of SciPy: dividing rectangles."""
+"""SciPy's implementation of DIRECT (dividing rectangles)."""
 
 from __future__ import annotations
 
@@ -17,11 +17,12 @@ __all__ = ["ScipyDirect"]
 
 @dataclass(frozen=True)
 class ScipyDirect(Solver):
-    """``scipy.optimize.direct``, DIRECT and its locally biased variant, until the budget ends.
+    """``scipy.optimize.direct``: DIRECT or its locally biased variant, run until the budget is used up.
 
-    eps: least improvement, relative to the best value, that a rectangle must promise to be divided.
-    locally_biased: DIRECT_L, which divides one rectangle of each size; false: the original.
-    max_evaluations: the memory SciPy reserves beforehand, in evaluations; the run ends there at the latest.
+    eps: minimum improvement, as a fraction of the best value, that a rectangle must promise in order to be divided.
+    locally_biased: whether to use DIRECT_L, which divides only one rectangle of each size, instead of DIRECT.
+    max_evaluations: number of evaluations for which SciPy reserves memory in advance; the run ends soon after this
+        number of evaluations.
     """
 
     eps: Annotated[float, Gt(0.0)] = 1e-4
@@ -40,7 +41,7 @@ class ScipyDirect(Solver):
         def objective(u: Float[ndarray, " n"]) -> float:
             return problem(problem.from_unit(u))
 
-        # SciPy allocates by both limits, and a division takes at least two evaluations
+        # SciPy allocates memory for both limits; a division takes at least two evaluations
         limit = min(problem.remaining + 1, self.max_evaluations)
         direct(
             objective,

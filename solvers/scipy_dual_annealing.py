@@ -1,4 +1,4 @@
-"""Dual annealing of SciPy: generalized simulated annealing with local search."""
+"""SciPy's dual annealing: generalized simulated annealing with local search."""
 
 from __future__ import annotations
 
@@ -19,13 +19,14 @@ __all__ = ["ScipyDualAnnealing"]
 
 @dataclass(frozen=True)
 class ScipyDualAnnealing(Solver):
-    """``scipy.optimize.dual_annealing``, annealed again and again until the budget ends.
+    """``scipy.optimize.dual_annealing``, which repeats the annealing until the budget is used up.
 
-    initial_temp: the temperature each annealing starts from, in (0.01, 5e4].
-    restart_temp_ratio: an annealing ends when the temperature has fallen by this factor, in (0, 1).
-    visit: tail of the visiting distribution, in (1, 3]: the higher, the farther it jumps.
-    accept: acceptance parameter, in (-1e4, -5]: the lower, the less often a worse point is taken.
-    local_search: refine by L-BFGS-B; its gradients by differences count as evaluations.
+    initial_temp: temperature at the start of each annealing, in (0.01, 5e4].
+    restart_temp_ratio: the annealing restarts when the temperature has fallen to this fraction of its initial value, in
+        (0, 1).
+    visit: tail parameter of the visiting distribution, in (1, 3]; a larger value makes longer jumps more frequent.
+    accept: acceptance parameter, in (-1e4, -5]; a smaller value makes it less likely that a worse point is accepted.
+    local_search: whether to refine points by L-BFGS-B; the finite differences for its gradient count as evaluations.
     """
 
     initial_temp: Annotated[float, Gt(0.01), Le(5e4)] = 5230.0
@@ -43,7 +44,7 @@ class ScipyDualAnnealing(Solver):
             return problem(problem.from_unit(u))
 
         try:
-            with np.errstate(all="ignore"):  # the local search meets +inf with inf - inf
+            with np.errstate(all="ignore"):  # the local search computes inf - inf where the problem is +inf
                 dual_annealing(
                     objective,
                     Bounds(np.zeros(n), np.ones(n)),
@@ -57,5 +58,5 @@ class ScipyDualAnnealing(Solver):
                     rng=rng,
                 )
         except ValueError:
-            if problem.nonfinite <= 1000:  # beyond, SciPy gave up on starts without a finite value
+            if problem.nonfinite <= 1000:  # otherwise SciPy found no starting point with a finite value
                 raise

@@ -1,4 +1,4 @@
-"""Simplicial homology global optimization of SciPy."""
+"""SciPy's simplicial homology global optimization (SHGO)."""
 
 from __future__ import annotations
 
@@ -15,20 +15,21 @@ from nfbench import Ge, Incompatible, MeteredProblem, Solver, SolverInfo
 
 __all__ = ["ScipySHGO"]
 
-DELAUNAY_DIMENSIONS = 3  # beyond, the triangulation of a few hundred points takes minutes
+DELAUNAY_DIMENSIONS = 3  # in more dimensions, triangulating a few hundred points takes minutes
 
 
 @dataclass(frozen=True)
 class ScipySHGO(Solver):
-    """``scipy.optimize.shgo``, refined round by round until the budget ends.
+    """``scipy.optimize.shgo``, which refines its sampling in rounds until the budget is used up.
 
-    Each round adds points to a simplicial complex and searches locally from those lower than all their neighbours.
+    Each round adds points to a simplicial complex and starts a local search from every point that is lower than all its
+    neighbours.
 
-    points: new points in a round; "sobol" rounds it up to a power of two. Each round looks at all points again, so
-        that many small rounds take far longer than the evaluations do.
-    sampling: "simplicial": a regular subdivision of the box; "sobol", "halton": low-discrepancy points and their
+    points: number of new points per round; "sobol" rounds it up to a power of two. Each round processes all points
+        again, so that many small rounds take much longer than the evaluations themselves.
+    sampling: "simplicial" subdivides the box regularly; "sobol" and "halton" use low-discrepancy points and their
         Delaunay triangulation, for at most 3 unknowns.
-    local: the local search; its gradients by differences count as evaluations.
+    local: algorithm of the local search; the finite differences for its gradient count as evaluations.
     """
 
     points: Annotated[int, Ge(1)] = 1024
@@ -43,19 +44,19 @@ class ScipySHGO(Solver):
         n = problem.dimension
         if self.sampling != "simplicial" and n > DELAUNAY_DIMENSIONS:
             raise Incompatible(
-                f"sampling={self.sampling!r} triangulates its points, feasible in at most {DELAUNAY_DIMENSIONS} "
-                f'dimensions, and the problem has {n}; use sampling="simplicial"'
+                f"sampling={self.sampling!r}: expected at most {DELAUNAY_DIMENSIONS} unknowns, because it triangulates "
+                f'its points, got {n}; use sampling="simplicial"'
             )
 
         def objective(u: Float[ndarray, " n"]) -> float:
             return problem(problem.from_unit(u))
 
-        with np.errstate(all="ignore"):  # the local search meets +inf with inf - inf
+        with np.errstate(all="ignore"):  # the local search computes inf - inf where the problem is +inf
             shgo(
                 objective,
                 Bounds(np.zeros(n), np.ones(n)),
                 n=self.points,
                 sampling_method=self.sampling,
                 minimizer_kwargs={"method": self.local},
-                options={"maxev": sys.maxsize},  # any limit given makes it go round until that limit
+                options={"maxev": sys.maxsize},  # SHGO repeats its rounds only if some limit is given
             )

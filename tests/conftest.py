@@ -1,4 +1,4 @@
-"""What tests of several folders share."""
+"""Fixtures and helpers that tests in several folders share."""
 
 import os
 import subprocess
@@ -9,7 +9,8 @@ from pathlib import Path
 import jaxtyping
 import pytest
 
-# array shapes are checked while tests run, where no test feeds wrong shapes on purpose; before these are imported
+# Check array shapes during the tests, except in modules that some test calls with wrong shapes on purpose. The hook
+# must be installed before these modules are imported.
 jaxtyping.install_import_hook(
     [
         f"nfbench.problems.near_field.{name}"
@@ -27,20 +28,20 @@ COMMAND_ENVIRONMENT = {**os.environ, "COLUMNS": "120", "NO_COLOR": "1"}
 
 
 def nfbench(*arguments, cwd):
-    """The command line as a user meets it: in a process of its own."""
+    """Run the command line in a separate process, as a user does."""
     command = [sys.executable, "-m", "nfbench", *map(str, arguments)]
     return subprocess.run(command, cwd=cwd, capture_output=True, text=True, env=COMMAND_ENVIRONMENT, timeout=120)
 
 
 @pytest.fixture
 def toy_plugin():
-    """The file of small scenarios, formulations and solvers."""
+    """The path of the plugin file with small scenarios, formulations and solvers."""
     return PLUGINS / "toy.py"
 
 
 @pytest.fixture
 def manifest(tmp_path, toy_plugin):
-    """Writes a manifest for the toy plugin: ``manifest(extra)`` returns its path; ``extra`` goes below."""
+    """A function that writes a manifest for the toy plugin, with ``extra`` at its end, and returns its path."""
 
     def write(extra="", *, repetitions=3, seed=1, scenario="", name="toy", plugins=(), file="toy.toml"):
         files = [str(toy_plugin), *map(str, plugins)]

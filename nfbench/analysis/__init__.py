@@ -1,6 +1,6 @@
-"""Every conclusion that is drawn from rows: summaries, intervals, comparisons, and the sentences made of them.
+"""The statistics of nfbench: summaries, intervals and comparisons of runs, and the sentences that state them.
 
-The functions take tables and arrays, never folders: whatever has rows can be analysed.
+The functions take tables and arrays, not folders, so they can analyse rows from any source.
 """
 
 from __future__ import annotations

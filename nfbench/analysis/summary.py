@@ -1,4 +1,4 @@
-"""Sums up runs: one row per swept point and method, with the spread that a mean would hide."""
+"""Summarizes runs in a table with one row per swept point and method, including the spread of the errors."""
 
 from __future__ import annotations
 
@@ -22,18 +22,31 @@ __all__ = ["default_groups", "summarize"]
 def summarize(
     runs: pd.DataFrame, by: Sequence[str] | None = None, *, error: str = "rmse_m", outlier_m: float = 1.0
 ) -> pd.DataFrame:
-    """One row per group of ``by`` (default: swept keys, formulation, solver, method), in order of appearance.
+    """Summarize runs in one row per group.
 
-    Over the runs that are ok: ``rmse_m`` the root of the mean square error of a run, with a 95 % bootstrap interval
-    ``rmse_m_low``, ``rmse_m_high`` (percentiles of 2,000 resamples; NaN for fewer than 6 runs); ``median_m``
-    and ``q90_m`` over runs; ``outlier_rate`` the share of true sources, of all runs, further off than ``outlier_m`` or
-    not found at all (``sources`` that exceed ``sources_found``); ``crb_m`` the root mean square bound where runs have
-    one; ``evaluations`` and ``runtime_s`` the means; ``floor_m`` the root mean square of the error that no SNR removes,
-    and ``gospa_m``, and the mean of ``sources_found``, where runs have them. ``failed`` counts the others. A run that
-    found nothing has no ``rmse_m``, but counts in ``outlier_rate`` and ``gospa_m``. Few scenes with sources close
-    together own ``crb_m``, as outliers own ``rmse_m``: compare the two where sources are kept apart.
-    An ``error`` other than ``rmse_m`` is summed up in the columns ``<error>``, ``_low``, ``_high``, ``median``,
-    ``q90`` beside them.
+    runs: table with one row per run.
+    by: columns that define the groups; None for the swept keys, formulation, solver and method.
+    error: name of the score by which methods are ranked.
+    outlier_m: position error above which the estimate of a source counts as an outlier [m].
+
+    The rows are in order of first appearance of their group. All columns except ``runs`` and ``failed`` are computed
+    from the runs with status ok, and are NaN where no such run has a value:
+
+    * ``runs``: number of runs; ``failed``: number of runs with another status than ok.
+    * ``rmse_m``: root mean square of the runs' ``rmse_m``; ``rmse_m_low`` and ``rmse_m_high``: its 95 % bootstrap
+      interval (percentiles of 2,000 resamples), NaN for fewer than 6 runs.
+    * ``median_m`` and ``q90_m``: median and 90 % quantile of ``rmse_m`` over the runs.
+    * ``outlier_rate``: share of the true sources of all runs whose error exceeds ``outlier_m`` or that were not found.
+    * ``crb_m``: root mean square of the Cramér–Rao bound.
+    * ``evaluations`` and ``runtime_s``: means over the runs.
+    * ``floor_m``: root mean square of the error that remains at any SNR.
+    * ``gospa_m``: root mean square of the GOSPA; ``sources_found``: mean over the runs.
+    * If ``error`` is not ``rmse_m``: ``<error>``, ``<error>_low``, ``<error>_high``, ``<error>_median`` and
+      ``<error>_q90``, computed like the columns of ``rmse_m``.
+
+    A run that found no source has no ``rmse_m``, but it counts in ``outlier_rate`` and ``gospa_m``. A few scenes with
+    closely spaced sources may dominate ``crb_m``, as outliers may dominate ``rmse_m``; compare the two columns only in
+    studies that keep the sources apart. Raises ValueError if ``by`` names a column that does not exist.
     """
     by = default_groups(runs) if by is None else list(by)
     missing = [name for name in by if name not in runs.columns]
@@ -46,13 +59,13 @@ def summarize(
 
 
 def default_groups(runs: pd.DataFrame) -> list[str]:
-    """Swept keys, then formulation, solver and method."""
+    """Return the columns of the swept keys, followed by formulation, solver and method."""
     return [name for name in runs.columns if name.startswith("scenario.")] + ["formulation", "solver", "method"]
 
 
 def _summary(group: pd.DataFrame, name: str, error: str, outlier_m: float) -> dict[str, Any]:
     ok = group[group["status"] == Status.OK]
-    rng = np.random.default_rng(zlib.crc32(name.encode()))  # the interval is a function of the table
+    rng = np.random.default_rng(zlib.crc32(name.encode()))  # the same table gives the same interval
     row: dict[str, Any] = {"runs": len(group), "failed": len(group) - len(ok)}
     row |= _spread(_values(ok, "rmse_m"), rng, "rmse_m", "median_m", "q90_m")
     row["outlier_rate"] = _outlier_rate(ok, outlier_m)
@@ -81,11 +94,11 @@ def _spread(
 
 
 def _outlier_rate(ok: pd.DataFrame, outlier_m: float) -> float:
-    """Share of sources, over all runs, whose error exceeds ``outlier_m`` or which no estimate is matched with."""
+    """Return the share of sources over all runs whose error exceeds ``outlier_m`` or that were not found."""
     columns = [name for name in ok.columns if re.fullmatch(r"error_\d+_m", name)]
     errors = ok[columns].to_numpy(dtype=np.float64)
     errors = errors[~np.isnan(errors)]
-    # an error that is NaN is of a source that was missed, or that another run of the sweep has and this one has not
+    # NaN: the source was not found, or it exists only in other runs of the sweep; the former are counted below
     missed = 0.0
     if {"sources", "sources_found"} <= set(ok.columns):
         missed = float(np.maximum(ok["sources"] - ok["sources_found"], 0).sum())

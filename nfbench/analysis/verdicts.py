@@ -1,4 +1,4 @@
-"""What rows say about methods, in one sentence that says no more than they show."""
+"""Comparisons of methods in one sentence, which states only what the data support."""
 
 from __future__ import annotations
 
@@ -16,23 +16,24 @@ from .statistics import MIN_RUNS, bootstrap, mean, percentile_interval
 __all__ = ["judge", "verdict"]
 
 RESAMPLES = 4000
-EXCESS = 0.02  # of the best mean square error, which is 1 % of the RMSE: a smaller excess does not count
-CHANGE = 0.01  # of the error: tuning that changes it less changes nothing
+EXCESS = 0.02  # relative excess in mean square error (1 % in RMSE) below which a method does not count as worse
+CHANGE = 0.01  # relative change of the error below which tuning counts as having no effect
 
 
 def verdict(runs: pd.DataFrame, error: str) -> str:
-    """Which method has the smallest error over these runs, and which of the others it cannot be told from.
+    """State which method has the smallest error over these runs, and which others do not differ significantly from it.
 
-    Only the methods with the fewest failures can be named. Each other method is compared with the one named on the
-    instances they share: it counts as worse where the 95 % bootstrap interval of its paired excess in squared error
-    lies above 2 % of the best mean square, which is 1 % of the RMSE. Where a run found too few or too many sources,
-    which flatters its error of those matched, all are compared by their GOSPA instead.
+    Only a method with the largest number of runs that have an error can be the best one. Each other method is compared
+    with it on the instances that both have solved. It counts as worse if the 95 % bootstrap interval of its paired
+    excess in squared error lies above 2 % of the best method's mean square error, which is 1 % of its RMSE. If any run
+    found too few or too many sources, the methods are compared by GOSPA instead, because the error of the matched
+    sources alone would favour such runs.
     """
     ok = runs[runs["status"] == Status.OK]
     by = ""
     counted = {"sources", "sources_found"} <= set(ok.columns)
     if error == "rmse_m" and counted and (ok["sources_found"] - ok["sources"]).any():
-        by, error = "Not all found the true number of sources, so by gospa_m: ", "gospa_m"
+        by, error = "Not all runs found the true number of sources, so methods are compared by gospa_m: ", "gospa_m"
     ok = ok.dropna(subset=[error]) if error in ok.columns else ok.head(0)
     if ok.empty:
         return "No run ended with an estimate."
@@ -47,15 +48,19 @@ def verdict(runs: pd.DataFrame, error: str) -> str:
         return f"{found})."
     if pairs < MIN_RUNS:
         return (
-            f"{found}), but {pairs} {'repetition does' if pairs == 1 else 'repetitions do'} not rank methods: "
-            f"set repetitions to {MIN_RUNS} or more, better 100."
+            f"{found}), but {pairs} {'repetition is' if pairs == 1 else 'repetitions are'} too few to rank methods: "
+            f"set repetitions to at least {MIN_RUNS}, better 100."
         )
     few = [method for method in others if len((squares[method] - squares[best]).dropna()) < MIN_RUNS]
-    level = [method for method in others if method not in few and not _worse(squares[method], squares[best])]
-    told = f"not told from it: {', '.join(level)}" if level else "every other method is worse by more than 1\u00a0%"
+    similar = [method for method in others if method not in few and not _worse(squares[method], squares[best])]
+    results = []
+    if similar:
+        results.append(f"not significantly different: {', '.join(similar)}")
+    elif len(few) < len(others):
+        results.append(f"every other method {'with enough runs ' if few else ''}is worse by more than 1\u00a0%")
     if few:
-        told += f"; too rarely ok to compare: {', '.join(few)}"
-    return f"{found}, {pairs} repetitions); {told} (95\u00a0% paired bootstrap)."
+        results.append(f"too few successful runs to compare: {', '.join(few)}")
+    return f"{found}, {pairs} repetitions); {'; '.join(results)} (95\u00a0% paired bootstrap)."
 
 
 def _worse(squares: pd.Series[float], best: pd.Series[float]) -> bool:
@@ -65,16 +70,19 @@ def _worse(squares: pd.Series[float], best: pd.Series[float]) -> bool:
 
 
 def judge(default: Float[ndarray, " scenes"], tuned: Float[ndarray, " scenes"]) -> str:
-    """What paired errors say: by what factor tuning changes them, and whether that can be told from none.
+    """State the factor by which tuning changes the error, and whether the change is significant.
 
-    The factor is the geometric mean of tuned/default over scenes where both have an error, with the 95 % percentile
-    bootstrap interval over scenes. It counts where the interval lies beyond 1 % of no change.
+    default, tuned: errors of the default and of the tuned setting on the same scenes, (scenes,); NaN where a run has
+    no error.
+
+    The factor is the geometric mean of tuned/default over the scenes where both have an error, with a 95 % percentile
+    bootstrap interval over the scenes. The change is significant if the whole interval differs from 1 by more than 1 %.
     """
     logs = np.log(tuned) - np.log(default)
     logs = logs[~np.isnan(logs)]
     n = len(logs)
     if n < MIN_RUNS:
-        return f"{n} held-out scenes with both errors do not tell: take {MIN_RUNS} or more, better 100."
+        return f"{n} held-out scenes with both errors are too few to compare: use at least {MIN_RUNS}, better 100."
     means = bootstrap(mean, logs, rng=np.random.default_rng(0), resamples=RESAMPLES)
     factor, low, high = np.exp([logs.mean(), *percentile_interval(means)])
     interval = f"95\u00a0% paired bootstrap {low:.3g} – {high:.3g}"
@@ -82,7 +90,7 @@ def judge(default: Float[ndarray, " scenes"], tuned: Float[ndarray, " scenes"]) 
     if high < 1 - CHANGE:
         return f"The tuned setting has {found}: it is better."
     if low > 1 + CHANGE:
-        return f"The tuned setting has {found}: it is worse, and only fitted the training scenes. Keep the default."
+        return f"The tuned setting has {found}: it is worse, as it fits only the training scenes. Keep the default."
     if low >= 1 - CHANGE and high <= 1 + CHANGE:
-        return f"The tuned setting has {found}: that is the same within {CHANGE:.0%}. Keep the default."
-    return f"The tuned setting has {found}: they cannot be told apart. Take more scenes, or keep the default."
+        return f"The tuned setting has {found}: they are the same within {CHANGE:.0%}. Keep the default."
+    return f"The tuned setting has {found}: the difference is not significant. Use more scenes, or keep the default."

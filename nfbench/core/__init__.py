@@ -1,4 +1,7 @@
-"""The contracts that plugins implement, and what they are made of; nothing here knows of studies or processes."""
+"""The contracts that plugins implement, and the classes they use.
+
+Nothing in this package depends on studies, results or processes.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a solver may spend on one problem."""
+"""The limits on what a solver may spend on one problem."""
 
 from __future__ import annotations
 
@@ -12,11 +12,12 @@ __all__ = ["Budget"]
 
 @dataclass(frozen=True)
 class Budget(Options):
-    """What a solver may spend on one problem; at least one of evaluations and seconds must be given.
+    """The limits on what a solver may spend on one problem. At least one of evaluations and seconds is required.
 
-    evaluations: evaluations of the objective.
-    seconds: wall-clock time [s] from the solver's start, checked before each evaluation.
-    target: the objective value at which the solver has reached its goal and stops.
+    evaluations: maximum number of evaluations of the objective; None for no limit.
+    seconds: maximum wall-clock time [s] from the start of the solver, checked before each evaluation or batch of
+    evaluations; None for no limit.
+    target: objective value, in the problem's unit, at or below which the solver is stopped; None for no target.
     """
 
     evaluations: Annotated[int, Ge(1)] | None = None
@@ -25,4 +26,4 @@ class Budget(Options):
 
     def validate(self) -> None:
         if self.evaluations is None and self.seconds is None:
-            raise ValueError("expected a limit in evaluations or in seconds, got neither")
+            raise ValueError("expected a limit on evaluations or seconds, got neither")

@@ -1,4 +1,7 @@
-"""What can go wrong, one class a cause. Every message names the argument, what was expected and what came."""
+"""The exceptions of nfbench, one class per cause.
+
+Every message names the argument, the expected value and the actual value.
+"""
 
 from __future__ import annotations
 
@@ -8,11 +11,11 @@ from pathlib import Path
 
 
 class NfbenchError(Exception):
-    """The base of every error nfbench raises for its user."""
+    """Base class of the errors that nfbench reports to its users."""
 
 
 class OptionError(NfbenchError, ValueError):
-    """One or more options are unknown, of a wrong type, or impossible.
+    """One or more options are unknown, missing, of the wrong type, or out of range.
 
     ``problems`` holds ``(path, message)`` pairs, e.g. ``("population", "expected at least 4, got 2")``.
     """
@@ -24,7 +27,7 @@ class OptionError(NfbenchError, ValueError):
 
 
 class ManifestError(NfbenchError):
-    """A manifest cannot be used; ``problems`` lists every error as ``path: message``."""
+    """A manifest is invalid; ``problems`` lists every error as ``path: message``."""
 
     def __init__(self, source: str, problems: Iterable[str]) -> None:
         self.source = source
@@ -33,11 +36,11 @@ class ManifestError(NfbenchError):
 
 
 class PluginError(NfbenchError):
-    """A plugin is unknown, failed to import, or claims a name that is taken."""
+    """A plugin is unknown, failed to import, or has the same name as another plugin."""
 
 
 class MissingExtra(PluginError):
-    """A plugin is registered, but a library it needs is not installed; the message says how to install it."""
+    """A registered plugin needs a library that is not installed; the message says how to install it."""
 
 
 class StoreError(NfbenchError):
@@ -45,23 +48,29 @@ class StoreError(NfbenchError):
 
 
 class Incompatible(NfbenchError):
-    """This pair cannot work together (a reason, not a failure): the run becomes a ``skipped`` row."""
+    """A combination, such as a solver and a problem, cannot work; the message gives the reason.
+
+    This is not a failure: the run is stored as a row with the status ``skipped``.
+    """
 
 
 class InvalidEvaluation(NfbenchError, ValueError):
-    """A solver asked for a point outside the box, or a point or value had a wrong shape: the run is ``invalid``."""
+    """A solver evaluated a point outside the box, or a point or a value had the wrong shape.
+
+    The run gets the status ``invalid``.
+    """
 
 
 class BudgetExhausted(BaseException):
-    """The next evaluation would exceed the budget, or the target is reached: the solver ends here.
+    """Stops a solver because the next evaluation would exceed the budget, or because the target has been reached.
 
-    Derives from BaseException, like KeyboardInterrupt, so that an ``except Exception`` inside a wrapped
-    library cannot swallow it. It is how every run that uses its whole budget ends, and no failure.
+    It derives from BaseException, like KeyboardInterrupt, so that an ``except Exception`` in a wrapped library cannot
+    swallow it. Every run that uses its whole budget ends with this exception; it does not indicate a failure.
     """
 
 
 def explain(error: BaseException) -> str:
-    """An exception in one line: its type, its text, and the file and line it came from."""
+    """Describe an exception in one line: its type, its message, and the file and line that raised it."""
     frames = traceback.extract_tb(error.__traceback__)
     where = f" ({Path(frames[-1].filename).name}:{frames[-1].lineno})" if frames else ""
     return f"{type(error).__name__}: {error}{where}"

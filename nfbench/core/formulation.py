@@ -1,4 +1,4 @@
-"""The contract of a formulation: how an instance becomes problems, and their minimizers an estimate."""
+"""The contract of a formulation, which turns an instance into problems and their minimizers into an estimate."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ from .scenario import Instance
 __all__ = ["Formulation", "Minimize"]
 
 Minimize: TypeAlias = Callable[[Problem], Minimum]
-"""Minimizes a problem with the run's solver and budget; the run ends here if that fails."""
+"""Minimizes a problem with the run's solver and budget. If this fails, the call does not return and the run ends."""
 
 
 @dataclass(frozen=True)
 class Formulation(Options, ABC):
-    """How an instance is solved. Subclass as a frozen dataclass: its fields are its options in ``[[formulation]]``.
+    """A way to solve an instance. Subclass it as a frozen dataclass; its fields are the keys of ``[[formulation]]``.
 
-    ``accepts`` is the class of instances it can solve. Where ``needs_solver`` is false it runs once, not once per
-    solver, and never calls ``minimize``.
+    ``accepts`` is the class of instances that the formulation can solve. If ``needs_solver`` is false, the formulation
+    runs once instead of once per solver, and it must not call ``minimize``.
     """
 
     accepts: ClassVar[type[Instance]]
@@ -33,7 +33,8 @@ class Formulation(Options, ABC):
 
     @abstractmethod
     def solve(self, instance: Any, minimize: Minimize) -> ndarray:
-        """The estimate for ``instance`` (an ``accepts``), as its ``score`` expects it.
+        """Return the estimate for ``instance``, in the form that ``instance.score`` expects.
 
-        Raises Incompatible, with the reason, where this instance is outside what the method can do.
+        ``instance`` is an object of the class ``accepts``. Raise Incompatible, with the reason, if the formulation
+        cannot solve this instance.
         """

@@ -1,4 +1,4 @@
-"""The meter: a problem as a solver sees it, counted and limited."""
+"""The meter, through which a solver sees a problem. It counts the evaluations and enforces the budget."""
 
 from __future__ import annotations
 
@@ -20,24 +20,25 @@ from .trace import Recorder, Trace
 __all__ = ["MeteredProblem"]
 
 _FLOAT64 = np.dtype(np.float64)
-_SMALL = 32  # up to this dimension a Python loop over the bounds is faster than NumPy's
+_SMALL = 32  # up to this dimension, a Python loop over the bounds is faster than NumPy
 
 
 @final
 class MeteredProblem(Problem):
     """Counts every evaluation of ``problem``, keeps the best point, and stops the solver at the budget.
 
-    * The evaluation beyond the budget is never made: a batch that would cross it is cut, evaluated up to the
-      budget, and BudgetExhausted is raised; so it is on every later call.
-    * A point outside the box, or of a wrong shape, is not evaluated: InvalidEvaluation, and the run is ``invalid``.
-      Nothing is clipped.
-    * A value that is NaN or infinite reaches the solver as +inf and never becomes the best; ``nonfinite`` counts them.
-    * ``lower``, ``upper`` and the arrays it keeps are read-only; what it returns is the solver's own.
+    * No evaluation beyond the budget is made. A batch that would exceed the budget is truncated, the remaining
+      evaluations are made, and BudgetExhausted is raised. Every later call raises BudgetExhausted too.
+    * A point outside the box or of the wrong shape is not evaluated. The call raises InvalidEvaluation, and the run
+      becomes ``invalid``. Evaluation never clips a point.
+    * A value that is NaN or infinite is returned to the solver as +inf and never becomes the best value;
+      ``nonfinite`` counts these values.
+    * ``lower``, ``upper`` and ``best_point`` are read-only. The solver may change the arrays that a call returns.
     """
 
     def __init__(self, problem: Problem, budget: Budget) -> None:
         self.lower, self.upper = check_box(problem.lower, problem.upper)
-        self.has_gradient = problem.has_gradient  # type: ignore[misc]  # the instance speaks for what it wraps
+        self.has_gradient = problem.has_gradient  # type: ignore[misc]  # depends on the wrapped problem
         self.evaluations = 0
         self.gradients = 0
         self.nonfinite = 0
@@ -52,7 +53,7 @@ class MeteredProblem(Problem):
         self._target = budget.target if budget.target is not None else -math.inf
         self._shape = self.lower.shape
         self._lower, self._upper = self.lower.tolist(), self.upper.tolist()
-        self._lowers, self._uppers = self.lower[None], self.upper[None]  # a row a point: faster than to broadcast
+        self._lowers, self._uppers = self.lower[None], self.upper[None]  # one row per point, as broadcasting is slower
         self._small = len(self._lower) <= _SMALL
         self._recorder = Recorder()
         self._start = time.perf_counter()
@@ -60,53 +61,53 @@ class MeteredProblem(Problem):
 
     @property
     def remaining(self) -> int:
-        """Evaluations left; ``sys.maxsize`` less those made where the budget does not count them."""
+        """Number of evaluations left; without a limit on evaluations, ``sys.maxsize`` minus those made."""
         return self._limit - self.evaluations
 
     @property
     def spent(self) -> bool:
-        """Whether the budget is used up, or its target reached."""
+        """Whether the budget is used up or its target has been reached."""
         if self.evaluations >= self._limit or self.best_value <= self._target:
             return True
         return self._deadline is not None and time.perf_counter() >= self._deadline
 
     @property
     def seconds(self) -> float:
-        """Wall-clock time since the meter was made [s]."""
+        """Wall-clock time [s] since the meter was created."""
         return time.perf_counter() - self._start
 
     @property
     def trace(self) -> Trace:
-        """Every improvement so far, thinned to under 1,000 rows."""
+        """The improvements of the best value so far, thinned to fewer than 1,000 rows."""
         return self._recorder.trace(self.dimension, self.evaluations, self.seconds)
 
     def from_unit(self, U: Float[ndarray, "*p n"]) -> Float[ndarray, "*p n"]:
-        """Points of the unit box [0, 1]ⁿ as points of this box, safe against rounding past its edge."""
+        """Map points of the unit box [0, 1]ⁿ to this box; the result is clipped, as rounding may cross an edge."""
         X = self.lower + U * (self.upper - self.lower)
         return np.minimum(np.maximum(X, self.lower, out=X), self.upper, out=X)  # np.clip takes three times as long
 
     def to_unit(self, X: Float[ndarray, "*p n"]) -> Float[ndarray, "*p n"]:
-        """Points of this box as points of the unit box [0, 1]ⁿ."""
+        """Map points of this box to the unit box [0, 1]ⁿ."""
         return (X - self.lower) / (self.upper - self.lower)
 
     def __call__(self, x: Float[ndarray, " n"]) -> float:
-        """The value at one point ``(n,)``."""
+        """Evaluate one point ``(n,)`` and return its value."""
         if type(x) is not ndarray or x.dtype is not _FLOAT64:
             x = np.asarray(x, dtype=np.float64)
-        self._admit(x)
+        self._check_point(x)
         value = self._value(x)
         if type(value) is not float:
             value = self._scalar(value)
-        if self.best_value <= value < math.inf:  # as almost all are; false for NaN
+        if self.best_value <= value < math.inf:  # the most common case; false for NaN
             self.evaluations += 1
             return value
-        return self._note(x, value)
+        return self._record(x, value)
 
     def evaluate(self, X: Float[ndarray, "p n"]) -> Float[ndarray, " p"]:
-        """The values at p points, one a row."""
+        """Evaluate p points, one per row, and return their values."""
         X = np.asarray(X, dtype=np.float64)
         if X.ndim != 2 or X.shape[1:] != self._shape:
-            self._refuse(f"expected a batch of shape (p, {self.dimension}), got {X.shape}")
+            self._reject(f"expected a batch of shape (p, {self.dimension}), got {X.shape}")
         if not len(X):
             return np.empty(0)
         self._check_budget()
@@ -114,39 +115,43 @@ class MeteredProblem(Problem):
             self._lowers, self._uppers = (np.tile(bound, (len(X), 1)) for bound in (self.lower, self.upper))
         inside = np.logical_and(self._lowers <= X, self._uppers >= X)  # false for NaN too
         if np.count_nonzero(inside) < inside.size:
-            self._refuse(self._outside(X[~inside.all(axis=1)][0]))
+            self._reject(self._outside(X[~inside.all(axis=1)][0]))
         batch = X[: self.remaining]
         values = np.array(self._problem.evaluate(batch), dtype=np.float64)
         if values.shape != (len(batch),):
-            self._refuse(f"the problem: expected values of shape ({len(batch)},), got {values.shape}")
-        least = values[values.argmin()]
-        if not (least > -math.inf and values[values.argmax()] < math.inf):  # false for NaN too
+            self._reject(f"the problem: expected values of shape ({len(batch)},), got {values.shape}")
+        smallest = values[values.argmin()]
+        if not (smallest > -math.inf and values[values.argmax()] < math.inf):  # false for NaN too
             finite = np.isfinite(values)
             self.nonfinite += int(np.count_nonzero(~finite))
             values[~finite] = math.inf
-            least = values.min()
-        self._note_batch(batch, values, least)
+            smallest = values.min()
+        self._record_batch(batch, values, smallest)
         if len(batch) < len(X):
             raise BudgetExhausted
         return values
 
     def keep_population(self, X: Float[ndarray, "p n"], values: Float[ndarray, " p"]) -> None:
-        """Remember the solver's present population and its values, for formulations that look at more than the best.
+        """Keep the solver's current population and its values, for formulations that use more than the best point.
 
-        Optional. No copy is made: a solver that goes on in these arrays, changing a point and its value together, says
-        so once; one with new arrays each generation says so each time. Points must have been evaluated.
+        Calling this method is optional. The arrays are not copied: a solver that updates the same arrays in place,
+        each point together with its value, calls it once; a solver that creates new arrays calls it in every
+        generation. All points must have been evaluated.
         """
         if X.ndim != 2 or X.shape[1:] != self._shape or values.shape != X.shape[:1]:
-            self._refuse(f"expected a population (p, {self.dimension}) with p values, got {X.shape} and {values.shape}")
+            self._reject(
+                f"expected a population (p, {self.dimension}) and p values, got shapes {X.shape}, {values.shape}"
+            )
         self.population, self.population_values = X, values
-        if isinstance(self._problem, MeteredProblem):  # this is a part of it
+        if isinstance(self._problem, MeteredProblem):  # this meter was returned by part()
             self._problem.keep_population(X, values)
 
     def part(self, share: float = 1.0, evaluations: int | None = None) -> MeteredProblem:
-        """This problem with less to spend: a ``share`` in (0, 1] of what is left, and of ``evaluations`` at most.
+        """Return a meter of this problem with a smaller budget.
 
-        What a solver evaluates on the part counts here too. The share of evaluations is rounded, to 1 at least.
-        Raises BudgetExhausted where nothing is left.
+        The new budget is the ``share``, in (0, 1], of the evaluations and seconds that are left here, and at most
+        ``evaluations`` evaluations if that is given. The share of the evaluations is rounded, but is at least 1.
+        Evaluations made through the new meter count here too. Raises BudgetExhausted if the budget is used up.
         """
         self._check_budget()
         limits = [] if evaluations is None else [evaluations]
@@ -156,39 +161,39 @@ class MeteredProblem(Problem):
         return MeteredProblem(self, Budget(evaluations=min(limits, default=None), seconds=seconds))
 
     def value(self, x: Float[ndarray, " n"]) -> float:
-        """The same as calling the meter: the value at one point."""
+        """Evaluate one point and return its value, as calling the meter does."""
         return self(x)
 
     def value_and_gradient(self, x: Float[ndarray, " n"]) -> tuple[float, Float[ndarray, " n"]]:
-        """The value and gradient at one point; counts as one evaluation, and in ``gradients``."""
+        """Return the value and the gradient at one point. This counts as one evaluation and one gradient."""
         x = np.asarray(x, dtype=np.float64)
-        self._admit(x)
+        self._check_point(x)
         value, gradient = self._problem.value_and_gradient(x)
         self.gradients += 1
-        return self._note(x, self._scalar(value)), np.array(gradient, dtype=np.float64)
+        return self._record(x, self._scalar(value)), np.array(gradient, dtype=np.float64)
 
-    def _admit(self, x: ndarray) -> None:
-        """Let one point through, or raise."""
+    def _check_point(self, x: ndarray) -> None:
+        """Raise an exception if the budget is used up or the point is invalid."""
         self._check_budget()
         if x.shape != self._shape:
-            self._refuse(f"expected a point of shape {self._shape}, got {x.shape}")
+            self._reject(f"expected a point of shape {self._shape}, got {x.shape}")
         if self._small:
             point = x.tolist()
             inside = all(map(le, self._lower, point)) and all(map(le, point, self._upper))  # false for NaN too
         else:
             inside = bool((self.lower <= x).all() and (x <= self.upper).all())
         if not inside:
-            self._refuse(self._outside(x))
+            self._reject(self._outside(x))
 
     def _check_budget(self) -> None:
-        if self.evaluations >= self._limit or self.best_value <= self._target:  # ``spent``, written out as it is faster
+        if self.evaluations >= self._limit or self.best_value <= self._target:  # the same as ``spent``, but faster
             raise BudgetExhausted
         if self._deadline is not None and time.perf_counter() >= self._deadline:
             raise BudgetExhausted
         if self.fault is not None:
             raise InvalidEvaluation(self.fault)
 
-    def _note(self, x: ndarray, value: float) -> float:
+    def _record(self, x: ndarray, value: float) -> float:
         self.evaluations += 1
         if not math.isfinite(value):
             self.nonfinite += 1
@@ -197,11 +202,11 @@ class MeteredProblem(Problem):
             self._improve(self.evaluations, x, value)
         return value
 
-    def _note_batch(self, batch: ndarray, values: ndarray, least: float) -> None:
-        """Trace each improvement at its own place within the batch, as if evaluated one by one."""
+    def _record_batch(self, batch: ndarray, values: ndarray, smallest: float) -> None:
+        """Record each improvement with its position in the batch, as if the points had been evaluated one by one."""
         before = self.evaluations
         self.evaluations += len(values)
-        if least >= self.best_value and before:
+        if smallest >= self.best_value and before:
             return
         best_before = np.minimum.accumulate(np.concatenate([[self.best_value], values[:-1]]))
         improved = values < best_before
@@ -219,16 +224,16 @@ class MeteredProblem(Problem):
     def _scalar(self, value: object) -> float:
         array = np.asarray(value, dtype=np.float64)
         if array.ndim:
-            self._refuse(f"the problem: expected one number for one point, got shape {array.shape}")
+            self._reject(f"the problem: expected one number for one point, got shape {array.shape}")
         return float(array)
 
     def _outside(self, x: ndarray) -> str:
         j = int(np.flatnonzero(~((self.lower <= x) & (x <= self.upper)))[0])
         return f"x[{j}]: expected a number within [{self._lower[j]!r}, {self._upper[j]!r}], got {float(x[j])!r}"
 
-    def _refuse(self, fault: str) -> None:
-        """Remember the fault, so that it counts even if a library swallows the exception."""
+    def _reject(self, fault: str) -> None:
+        """Raise InvalidEvaluation and keep the fault, so that it counts even if a library swallows the exception."""
         self.fault = self.fault or fault
-        if isinstance(self._problem, MeteredProblem):  # this is a part of it
-            self._problem._refuse(fault)
+        if isinstance(self._problem, MeteredProblem):  # this meter was returned by part()
+            self._problem._reject(fault)
         raise InvalidEvaluation(fault)

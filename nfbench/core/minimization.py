@@ -1,4 +1,4 @@
-"""Minimizes one problem with one solver: what a study does for each run, and what a notebook needs."""
+"""Minimizes one problem with one solver. Studies use this function for their runs, and notebooks can call it too."""
 
 from __future__ import annotations
 
@@ -18,16 +18,18 @@ __all__ = ["minimize"]
 
 
 def minimize(problem: Problem, solver: Solver, budget: Budget | int, seed: int | np.random.Generator = 0) -> Minimum:
-    """Minimize ``problem`` with ``solver`` within ``budget`` (a Budget, or a number of evaluations).
+    """Minimize ``problem`` with ``solver`` within ``budget``, which is a Budget or a number of evaluations.
 
-    The result is a function of its arguments: ``seed`` seeds the only generator the solver has. What the solver
-    raises becomes the status and message of the result; only a bad argument raises here (ValueError).
+    The solver draws all random numbers from one generator, seeded with ``seed`` or given as ``seed``, so the same
+    arguments give the same result. An exception raised by the solver is returned as the status and message of the
+    result, except for MemoryError and exceptions such as KeyboardInterrupt, which are passed on. Raises ValueError if
+    the budget or the bounds of the problem are invalid.
     """
     budget = Budget(evaluations=budget) if isinstance(budget, int) else budget
     solver.warm_up()
     meter = MeteredProblem(problem, budget)
     start = time.perf_counter()
-    status, message = _drive(solver, meter, np.random.default_rng(seed))
+    status, message = _run_solver(solver, meter, np.random.default_rng(seed))
     runtime_s = time.perf_counter() - start
     population, values = meter.population, meter.population_values
     if population is not None and values is not None:
@@ -48,10 +50,10 @@ def minimize(problem: Problem, solver: Solver, budget: Budget | int, seed: int |
     )
 
 
-def _drive(solver: Solver, meter: MeteredProblem, rng: np.random.Generator) -> tuple[Status, str]:
-    """Let the solver run; how it ended, and why."""
+def _run_solver(solver: Solver, meter: MeteredProblem, rng: np.random.Generator) -> tuple[Status, str]:
+    """Run the solver and return the status and the message of the run."""
     if solver.info.needs_gradient and not meter.has_gradient:
-        return Status.SKIPPED, f"{type(solver).__name__} needs a gradient and the problem has none"
+        return Status.SKIPPED, f"{type(solver).__name__} needs a gradient, but the problem has none"
     try:
         solver.minimize(meter, rng)
     except BudgetExhausted:
@@ -59,7 +61,7 @@ def _drive(solver: Solver, meter: MeteredProblem, rng: np.random.Generator) -> t
     except Incompatible as error:
         return Status.SKIPPED, str(error)
     except MemoryError:
-        raise  # the run's, not the solver's: it ends as crashed
+        raise  # concerns the whole run, which ends as crashed
     except Exception as error:
         if meter.fault is None:
             return Status.FAILED, explain(error)
@@ -70,5 +72,5 @@ def _drive(solver: Solver, meter: MeteredProblem, rng: np.random.Generator) -> t
     if meter.best_point is None:
         return Status.INVALID, f"none of {meter.evaluations} evaluations gave a finite value"
     if meter.nonfinite:
-        return Status.OK, f"{meter.nonfinite} of {meter.evaluations} evaluations gave no finite value"
+        return Status.OK, f"{meter.nonfinite} of {meter.evaluations} evaluations gave NaN or an infinite value"
     return Status.OK, ""

@@ -1,4 +1,4 @@
-"""What a solver found on one problem."""
+"""The result of minimizing one problem with one solver."""
 
 from __future__ import annotations
 
@@ -15,12 +15,19 @@ __all__ = ["Minimum"]
 
 @dataclass(frozen=True)
 class Minimum:
-    """What a solver found.
+    """The result of a minimization.
 
-    x: (n,) the best point, NaN if no finite value was met. value: its objective. evaluations: how many were made;
-    gradients: how many of them with the gradient; nonfinite: how many gave NaN or ±inf. runtime_s: wall-clock
-    time [s]. status, message: how it ended. trace: every improvement, thinned to under 1,000 rows. population: (p, n)
-    the solver's last population and population_values: (p,) its values, best first; None where it keeps none.
+    x: best point, (n,); NaN if no evaluation gave a finite value.
+    value: objective value at ``x``; inf if no evaluation gave a finite value.
+    evaluations: number of evaluations made.
+    gradients: number of evaluations that also computed the gradient.
+    nonfinite: number of evaluations that gave NaN or an infinite value.
+    runtime_s: wall-clock time of the solver [s].
+    status: how the minimization ended.
+    message: explanation of the status; empty if there is nothing to explain.
+    trace: improvements of the best value, thinned to fewer than 1,000 rows.
+    population: last population of the solver, (p, n), best point first; None if the solver keeps no population.
+    population_values: objective values of the population, (p,); None if the solver keeps no population.
     """
 
     x: Float[ndarray, " n"]

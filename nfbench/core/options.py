@@ -1,12 +1,12 @@
-"""Options: frozen dataclasses whose fields are checked when they are constructed.
+"""Options: frozen dataclasses whose fields are checked on construction.
 
-A solver, formulation, scenario or array is an :class:`Options`. A field's type says what is allowed, with limits in
-``Annotated``::
+Solvers, formulations, scenarios and arrays derive from :class:`Options`. The type of a field determines which values
+are allowed; limits are given in ``Annotated``::
 
     population: Annotated[int, Ge(4)] = 50
     bounds: Literal["resample", "clip"] = "resample"
 
-A field whose type is itself an :class:`Options` takes a table of that class's options.
+A field whose type is a subclass of :class:`Options` accepts a table with the options of that class.
 """
 
 from __future__ import annotations
@@ -51,7 +51,10 @@ _folder: contextvars.ContextVar[Path | None] = contextvars.ContextVar("folder", 
 
 @dataclasses.dataclass(frozen=True)
 class Options:
-    """Base of everything with options. Subclass as a frozen dataclass; ``validate`` is for rules across fields."""
+    """Base class of everything that has options. Subclass it as a frozen dataclass.
+
+    Override ``validate`` to check rules that involve more than one field.
+    """
 
     def __post_init__(self) -> None:
         problems = []
@@ -69,24 +72,25 @@ class Options:
             raise OptionError(type(self).__name__, [("", str(error))]) from error
 
     def validate(self) -> None:
-        """Raise ValueError or OptionError where fields contradict each other; fields are each valid by now."""
+        """Raise ValueError or OptionError if fields contradict each other. Each field on its own is already valid."""
 
 
 def build(cls: type[T], options: Mapping[str, Any]) -> T:
-    """Make ``cls`` from a table of options, as a manifest has them.
+    """Construct ``cls`` from a table of options, as given in a manifest.
 
-    Raises OptionError with every problem at once: unknown names (with the nearest known one), missing ones, values.
+    Raises OptionError with every problem at once: unknown options, with the nearest known name, missing options, and
+    invalid values.
     """
     fields = {f.name: f for f in dataclasses.fields(cls) if f.init}
-    if forgotten := _undeclared(cls):
-        text = f"is no option yet: put @dataclass(frozen=True) above class {cls.__name__}"
-        raise OptionError(cls.__name__, [(name, text) for name in forgotten])
+    if undeclared := _undeclared(cls):
+        text = f"is not a dataclass field: put @dataclass(frozen=True) above class {cls.__name__}"
+        raise OptionError(cls.__name__, [(name, text) for name in undeclared])
     problems = [(name, _unknown(cls, name, fields)) for name in options if name not in fields]
     for name, field in fields.items():
         if field.default is field.default_factory is dataclasses.MISSING and name not in options:
             problems.append((name, _required(cls, name)))
     known = {name: value for name, value in options.items() if name in fields}
-    if problems:  # still check the values of what is known, so that one pass shows every error
+    if problems:  # check the values of the known options too, so that one error lists every problem
         for name, value in known.items():
             problems += _checked(cls, name, value)[1]
         raise OptionError(cls.__name__, problems)
@@ -94,29 +98,29 @@ def build(cls: type[T], options: Mapping[str, Any]) -> T:
 
 
 def _required(cls: type[Options], name: str) -> str:
-    """That it is, and what is expected of it."""
-    told = [text for _, text in _checked(cls, name, None)[1] if text.startswith("expected ")]
-    return f"is required: {told[0].rpartition(', got ')[0]}" if told else "is required"
+    """Return the message for a missing option, with the expected type if it is known."""
+    texts = [text for _, text in _checked(cls, name, None)[1] if text.startswith("expected ")]
+    return f"is required: {texts[0].rpartition(', got ')[0]}" if texts else "is required"
 
 
 def _unknown(cls: type[Options], name: str, fields: Iterable[str]) -> str:
     if isinstance(getattr(cls, name, None), bool | int | float | str | tuple):
-        return f"is no option yet: give {name} in class {cls.__name__} a type, as in `{name}: float = 0.5`"
+        return f"is not a dataclass field: give {name} in class {cls.__name__} a type, as in `{name}: float = 0.5`"
     return f"unknown option{suggest(name, fields)}"
 
 
 def _undeclared(cls: type) -> list[str]:
-    """Annotated names that look like options of a class that lacks the @dataclass to make them so."""
+    """Return the annotated names of a class without the @dataclass decorator that would make them options."""
     if "__dataclass_fields__" in vars(cls):
         return []
     return [name for name, hint in inspect.get_annotations(cls).items() if "ClassVar" not in str(hint)]
 
 
 def canonical(value: Any, *, defaults: bool = True) -> Any:
-    """Plain data (dicts, lists, text, numbers) that says everything an option or Options object holds.
+    """Convert an option or an Options object to plain data: dicts, lists, strings and numbers.
 
-    defaults: with the options that have their default value, at every depth; without them, data stay what they are
-    when a class gains an option.
+    defaults: whether to include options that have their default value, at every depth. Without them, the data do not
+    change when a class gains an option.
     """
     plain = functools.partial(canonical, defaults=defaults)
     if isinstance(value, PluginOption):
@@ -141,7 +145,7 @@ def _at_default(made: Options, field: dataclasses.Field[Any]) -> bool:
 
 
 def suggest(name: str, known: Iterable[str]) -> str:
-    """``; did you mean "x"?`` for the nearest of ``known``, or what there is to choose from."""
+    """Return ``; did you mean "x"?`` with the nearest name of ``known``, or else ``; known: …`` with all names."""
     known = sorted(known)
     near = difflib.get_close_matches(name, known, n=1)
     if near:
@@ -152,9 +156,11 @@ def suggest(name: str, known: Iterable[str]) -> str:
 @final
 @dataclasses.dataclass(frozen=True)
 class Tune:
-    """Annotation of a number: the range in which ``nfbench tune`` looks for it, both ends included; no limit on it.
+    """Annotation of a numeric option: the range that ``nfbench tune`` searches. It does not limit the option's value.
 
-    log: an octave counts as much at the low end as at the high one.
+    low: lower end of the range, included, in the option's unit.
+    high: upper end of the range, included, in the option's unit.
+    log: whether to search on a logarithmic scale.
     """
 
     low: float
@@ -163,13 +169,18 @@ class Tune:
 
     def __post_init__(self) -> None:
         if not self.low < self.high or (self.log and self.low <= 0):
-            raise ValueError(f"Tune: expected low < high, and low > 0 where log, got {self}")
+            raise ValueError(f"Tune: expected low < high, and low > 0 if log is true, got {self}")
 
 
 @final
 @dataclasses.dataclass(frozen=True)
 class PluginOption:
-    """A plugin as an option of another holds it: what was made, the name it is registered by, and its version."""
+    """A plugin that is the value of another plugin's option.
+
+    kind: name under which the plugin is registered.
+    made: plugin object.
+    version: version of the plugin.
+    """
 
     kind: str
     made: Options
@@ -177,10 +188,10 @@ class PluginOption:
 
 
 class OneOf:
-    """Annotation of a field that holds one of several Options, told apart by ``kind``.
+    """Annotation of a field that holds an object of one of several Options classes, selected by ``kind``.
 
-    ``array: Annotated[Array, OneOf(ULA, UPA)]`` takes ``{"kind": "ula", "elements": 128}`` or a ``ULA`` object.
-    Each class names itself in a class variable ``kind``.
+    ``array: Annotated[Array, OneOf(ULA, UPA)]`` accepts ``{"kind": "ula", "elements": 128}`` or a ``ULA`` object.
+    Each class defines its name in the class variable ``kind``.
     """
 
     def __init__(self, *classes: type[Options]) -> None:
@@ -205,7 +216,7 @@ class OneOf:
 
 @contextlib.contextmanager
 def relative_to(folder: Path) -> Iterator[None]:
-    """Within this context, relative :data:`FilePath` options are taken from ``folder`` (the manifest's)."""
+    """Within this context, resolve relative :data:`FilePath` options against ``folder``, the folder of the manifest."""
     token = _folder.set(folder)
     try:
         yield
@@ -221,7 +232,7 @@ def _resolve(path: str) -> str:
 
 
 FilePath = Annotated[str, AfterValidator(_resolve)]
-"""An option that names an existing file, relative to the manifest."""
+"""An option that is the path of an existing file, absolute or relative to the manifest's folder."""
 
 
 def _adapters(cls: type[Options]) -> dict[str, TypeAdapter[Any]]:
@@ -251,7 +262,7 @@ def _table(cls: type[Options], value: Any) -> Options:
 
 
 def _checked(cls: type[Options], name: str, value: Any) -> tuple[Any, list[tuple[str, str]]]:
-    """A field's value as its type wants it, and what is wrong with it as (path, message) pairs."""
+    """Return the value converted to the type of the field, and the problems found as (path, message) pairs."""
     value = _frozen(value)
     if isinstance(value, float) and value != value:
         return value, [(name, "expected a number, got nan")]
@@ -262,17 +273,17 @@ def _checked(cls: type[Options], name: str, value: Any) -> tuple[Any, list[tuple
 
 
 def _frozen(value: Any) -> Any:
-    """Lists become tuples, so that options can be hashed and compared."""
+    """Convert lists to tuples, so that options can be hashed and compared."""
     if isinstance(value, list | tuple):
         return tuple(_frozen(item) for item in value)
     return value
 
 
 def _explain(name: str, error: ValidationError) -> list[tuple[str, str]]:
-    """A ValidationError of one field as (path, message) pairs in our words."""
+    """Convert the ValidationError of one field to (path, message) pairs with the messages of nfbench."""
     problems: dict[str, list[str]] = {}
     for item in error.errors(include_url=False):
-        # positions within a list are numbers; what else pydantic puts there names branches of a union
+        # integers are positions in a list; pydantic's other entries name the branches of a union
         path = name + "".join(f"[{part}]" for part in item["loc"] if isinstance(part, int))
         inner = item.get("ctx", {}).get("error")
         if isinstance(inner, OptionError):
@@ -280,19 +291,19 @@ def _explain(name: str, error: ValidationError) -> list[tuple[str, str]]:
                 problems.setdefault(f"{path}.{sub}" if sub else path, []).append(text)
             continue
         if item["type"] == "string_pattern_mismatch":
-            item["msg"] = f"text that matches {item['ctx']['pattern']}"
+            item["msg"] = f"a string that matches {item['ctx']['pattern']}"
         if item["type"] in ("too_long", "too_short"):
-            item["msg"] = "a list of another length: " + item["msg"].split("should have ")[1].split(" after")[0]
+            item["msg"] = "a list with " + item["msg"].split("should have ")[1].split(" after")[0]
         expected = item["msg"].removeprefix("Input should be ").removeprefix("a valid ").replace("tuple", "list")
         expected = expected.replace("dictionary", "table")
-        came = list(item["input"]) if isinstance(item["input"], tuple) else item["input"]
-        text = str(inner) if inner is not None else f"expected {expected}, got {came!r}"
+        actual = list(item["input"]) if isinstance(item["input"], tuple) else item["input"]
+        text = str(inner) if inner is not None else f"expected {expected}, got {actual!r}"
         problems.setdefault(path, []).append(text)
     return [(path, _joined(texts)) for path, texts in problems.items()]
 
 
 def _joined(texts: list[str]) -> str:
-    """The alternatives of a union as one message: "expected number or tuple, got 'x'"."""
+    """Combine the messages for the alternatives of a union: "expected number or list, got 'x'"."""
     texts = list(dict.fromkeys(texts))
     tails = {text.rpartition(", got ")[2] for text in texts}
     if len(texts) > 1 and len(tails) == 1 and all(text.startswith("expected ") for text in texts):

@@ -1,4 +1,4 @@
-"""The contract of a problem: a bounded black box that is minimized."""
+"""The contract of a problem: a function on a box, which a solver minimizes as a black box."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ __all__ = ["Problem"]
 
 
 class Problem(ABC):
-    """A function to minimize over the box ``lower <= x <= upper``. It knows nothing of solvers.
+    """A function to minimize over the box ``lower <= x <= upper``, independent of any solver.
 
-    A subclass sets ``lower`` and ``upper``, both ``(n,)`` float64, finite and lower < upper, and implements
-    ``evaluate``. Units are the problem's own and stated in its docstring.
+    A subclass sets ``lower`` and ``upper``, which are finite float64 arrays of shape ``(n,)`` with lower < upper, and
+    implements ``evaluate``. Its docstring states the units of the unknowns and of the value.
     """
 
     lower: Float[ndarray, " n"]
@@ -27,28 +27,34 @@ class Problem(ABC):
 
     @property
     def dimension(self) -> int:
-        """The number n of unknowns."""
+        """Number n of unknowns."""
         return len(self.lower)
 
     @abstractmethod
     def evaluate(self, X: Float[ndarray, "p n"]) -> Float[ndarray, " p"]:
-        """The values at p points, one a row. The hot path: no checks, ``X`` is not changed."""
+        """Return the values at p points, one point per row.
+
+        This is the hot path: the method need not check ``X``, and it must not change it.
+        """
 
     def value(self, x: Float[ndarray, " n"]) -> float:
-        """The value at one point; override where one point can be had faster than a batch of one."""
+        """Return the value at one point. Override it if that is faster than evaluating a batch of one point."""
         return float(self.evaluate(x[None, :])[0])
 
     def value_and_gradient(self, x: Float[ndarray, " n"]) -> tuple[float, Float[ndarray, " n"]]:
-        """The value and the gradient at one point; implemented where ``has_gradient`` is true."""
+        """Return the value and the gradient at one point. Override it in problems whose ``has_gradient`` is true."""
         raise Incompatible(f"{type(self).__name__} has no analytic gradient")
 
 
 def check_box(lower: ndarray, upper: ndarray) -> tuple[ndarray, ndarray]:
-    """The bounds as read-only float64 copies; raises ValueError unless both are (n,), finite, lower < upper."""
+    """Return the bounds as read-only float64 copies.
+
+    Raises ValueError unless both are finite and of shape (n,), with n >= 1 and lower < upper.
+    """
     lower, upper = (np.array(bound, dtype=np.float64) for bound in (lower, upper))
     if lower.ndim != 1 or lower.shape != upper.shape or not lower.size:
         raise ValueError(
-            f"lower and upper: expected two vectors of one length, got shapes {lower.shape}, {upper.shape}"
+            f"lower and upper: expected two vectors of equal length, got shapes {lower.shape} and {upper.shape}"
         )
     if not (np.isfinite(lower).all() and np.isfinite(upper).all() and (lower < upper).all()):
         raise ValueError(f"lower and upper: expected finite bounds with lower < upper, got {lower} and {upper}")

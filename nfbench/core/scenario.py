@@ -1,4 +1,4 @@
-"""The contracts of a scenario, what is measured, and of an instance, one draw of it."""
+"""The contracts of a scenario, which describes what is measured, and of an instance, which is one draw of it."""
 
 from __future__ import annotations
 
@@ -16,40 +16,44 @@ __all__ = ["Extra", "Instance", "ProblemInstance", "Scenario"]
 
 
 class Instance(ABC):
-    """One draw of a scenario: the data every method sees, and the truth by which it is scored."""
+    """One draw of a scenario: the data that every method sees, and the truth with which estimates are compared."""
 
     @abstractmethod
     def score(self, estimate: ndarray) -> dict[str, float]:
-        """Scores of an estimate by column name, among them the scenario's ``error``.
+        """Return the scores of an estimate by column name, including the scenario's ``error``.
 
-        Raises ValueError when the estimate's shape does not fit. A NaN ``error`` makes the run ``invalid``, unless the
-        estimate is empty: to have found nothing is an answer.
+        Raise ValueError if the estimate has the wrong shape. If the ``error`` is NaN, the run becomes ``invalid``,
+        unless the estimate is empty, which is the valid result that no source was found.
         """
 
     def positions(self, estimate: ndarray) -> tuple[ndarray, ndarray] | None:
-        """Where the sources are and where they were estimated, for figures: two (K, 3) in Cartesian metres.
+        """Return the true and the estimated positions of the sources for figures: two arrays (K, 3), Cartesian [m].
 
-        Row k of the second is the estimate assigned to source k, NaN where it has none. None, unless overridden: there
-        are no positions to show.
+        Row k of the second array is the estimate assigned to source k, or NaN if no estimate is assigned to it. The
+        default is None, which means that there are no positions to show.
         """
         return None
 
     def truth(self) -> ndarray | None:
-        """The estimate whose ``error`` is 0, for checks; None where there is none to tell."""
+        """Return the estimate whose ``error`` is 0, which the checks use; None if it is not known."""
         return None
 
 
 class ProblemInstance(Instance, ABC):
-    """An instance that is one problem to minimize, its minimizer the estimate: what the formulation `direct` solves."""
+    """An instance that consists of one problem, whose minimizer is the estimate.
+
+    The formulation ``direct`` solves such instances.
+    """
 
     problem: Problem
 
 
 @dataclass(frozen=True)
 class Extra:
-    """What is imported when a plugin runs, beyond what its package always installs.
+    """Modules that a plugin imports when it runs and that its package does not always install.
 
-    name: the optional extra of that package that installs it; None where it is installed by itself. requires: modules.
+    name: name of the package's optional extra that installs the modules; None if they are installed separately.
+    requires: names of the modules.
     """
 
     name: str | None
@@ -58,22 +62,23 @@ class Extra:
 
 @dataclass(frozen=True)
 class Scenario(Options, ABC):
-    """What is measured. Subclass as a frozen dataclass: its fields are the keys of ``[scenario]`` and ``[sweep]``.
+    """A description of what is measured.
 
-    ``instance`` is the class that ``draw`` returns, by which formulations tell what they can solve.
-    ``error`` names the score by which methods are ranked, smaller is better.
+    Subclass it as a frozen dataclass; its fields are the keys of ``[scenario]`` and ``[sweep]``. ``instance`` is the
+    class of the objects that ``draw`` returns; a formulation is used only if it accepts this class. ``error`` is the
+    name of the score by which methods are ranked; smaller is better.
     """
 
     instance: ClassVar[type[Instance]]
     error: ClassVar[str] = "rmse_m"
 
     def warm_up(self) -> None:
-        """Compile or load what runs will need; called before the first one, so that no clock sees it."""
+        """Compile or load what the runs need. It is called before the first run, so that no run time includes it."""
 
     def needed_extra(self) -> Extra | None:
-        """The optional library that these options need; none, unless overridden."""
+        """Return the optional library that the scenario needs with these options. The default is None."""
         return None
 
     @abstractmethod
     def draw(self, rng: np.random.Generator) -> Instance:
-        """Draw one instance from the generator handed in, and from nothing else."""
+        """Draw one instance. All randomness must come from ``rng``."""

@@ -1,4 +1,4 @@
-"""The contract of a solver: it minimizes any problem within its budget and knows nothing of antennas."""
+"""The contract of a solver, which minimizes any problem within a budget."""
 
 from __future__ import annotations
 
@@ -18,15 +18,19 @@ __all__ = ["AskTell", "AskTellSolver", "Solver", "SolverInfo"]
 
 @dataclass(frozen=True)
 class SolverInfo:
-    """What a solver is, as data: tests, tables and manifests select by these, never by name.
+    """The properties of a solver. Tests, tables and groups select solvers by these properties, not by name.
 
-    stochastic: uses the generator it is given. batched: evaluates many points at a time.
-    needs_gradient: works only where ``problem.has_gradient``; uses_gradient: takes it where there is one.
-    global_search: looks beyond one basin.
-    converges: drives its best point to high precision (false: samples, like random search).
-    reference: authors, year and DOI of the algorithm. requires: modules it imports when it runs, beyond what its
-    package always installs; extra: the optional extra of that package that installs them.
-    composed: runs solvers that its options name, and so is in no group.
+    stochastic: whether the solver uses the random generator it is given.
+    batched: whether the solver evaluates many points at a time.
+    needs_gradient: whether the solver works only if ``problem.has_gradient`` is true.
+    uses_gradient: whether the solver uses the gradient if the problem has one.
+    global_search: whether the solver searches beyond one basin of attraction.
+    converges: whether the best point converges to high precision; false for solvers that only sample, such as random
+    search.
+    reference: authors, year and DOI of the algorithm.
+    extra: name of the package's optional extra that installs the modules in ``requires``; None if there is none.
+    requires: modules that the solver imports when it runs and that its package does not always install.
+    composed: whether the solver runs other solvers, which its options name; such solvers belong to no group.
     """
 
     stochastic: bool = True
@@ -43,41 +47,42 @@ class SolverInfo:
 
 @dataclass(frozen=True)
 class Solver(Options, ABC):
-    """An optimization algorithm. Subclass as a frozen dataclass: its fields are its options.
+    """An optimization algorithm. Subclass it as a frozen dataclass; its fields are its options.
 
-    ``minimize`` asks ``problem.evaluate(X)`` for a batch or ``problem(x)`` for one point, reads ``problem.lower``,
-    ``.upper``, ``.dimension`` and ``.remaining``, and draws randomness from ``rng`` alone. It returns nothing: the
-    meter knows the best point, and the last population where ``problem.keep_population(X, values)`` tells it. It may
-    end early; if it never would, BudgetExhausted, which it must let pass, ends it.
+    ``minimize`` evaluates a batch with ``problem.evaluate(X)`` or one point with ``problem(x)``. It may read
+    ``problem.lower``, ``problem.upper``, ``problem.dimension`` and ``problem.remaining``, and it must draw all random
+    numbers from ``rng``. It returns nothing, because the meter keeps the best point, and also the last population if
+    the solver calls ``problem.keep_population(X, values)``. It may return early. Otherwise the exception
+    BudgetExhausted, which the solver must not catch, ends it.
     """
 
     info: ClassVar[SolverInfo] = SolverInfo()
 
     def warm_up(self) -> None:
-        """Compile or load what ``minimize`` needs; called before any clock runs."""
+        """Compile or load what ``minimize`` needs. It is called before the run is timed."""
 
     @abstractmethod
     def minimize(self, problem: MeteredProblem, rng: np.random.Generator) -> None:
-        """Minimize ``problem`` until its budget is used up or nothing is left to do."""
+        """Minimize ``problem`` until the budget is used up or the algorithm ends."""
 
 
 class AskTell(Protocol):
-    """The running state of an algorithm that proposes points and is told their values."""
+    """The state of an algorithm with an ask/tell interface, which proposes points and receives their values."""
 
     def ask(self) -> Float[ndarray, "p n"]:
-        """The next points to evaluate, one a row, within the box; none (p = 0) ends the search."""
+        """Return the next points to evaluate, one per row, within the box. An empty batch (p = 0) ends the search."""
 
     def tell(self, X: Float[ndarray, "p n"], values: Float[ndarray, " p"]) -> None:
-        """The values of the points last asked for."""
+        """Receive the values of the points that the last call of ``ask`` returned."""
 
 
 @dataclass(frozen=True)
 class AskTellSolver(Solver, ABC):
-    """Base of ask/tell algorithms: owns the loop; a subclass only starts its state."""
+    """Base class of algorithms with an ask/tell interface. It implements the loop; a subclass implements ``start``."""
 
     @abstractmethod
     def start(self, problem: MeteredProblem, rng: np.random.Generator) -> AskTell:
-        """The algorithm's state before its first ``ask``."""
+        """Return the state of the algorithm before the first call of ``ask``."""
 
     def minimize(self, problem: MeteredProblem, rng: np.random.Generator) -> None:
         state = self.start(problem, rng)

@@ -1,4 +1,4 @@
-"""How a run can end."""
+"""The status with which a run ends."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ __all__ = ["Status"]
 
 
 class Status(StrEnum):
-    """How a run ended. Every run becomes a row with one of these."""
+    """The status with which a run ended. Every run is stored as a row with one of these values."""
 
     OK = "ok"
     FAILED = "failed"
@@ -19,15 +19,15 @@ class Status(StrEnum):
 
     @property
     def sentence(self) -> str:
-        """What this status means, for the user."""
+        """Explanation of this status for the user."""
         return _SENTENCES[self]
 
 
 _SENTENCES = {
-    Status.OK: "The run ended by itself or used up its budget, with a valid estimate.",
+    Status.OK: "The run ended by itself or used up its budget, and gave a valid estimate.",
     Status.FAILED: "The solver or formulation raised an exception, or returned without evaluating a point.",
     Status.TIMEOUT: "The run exceeded run_timeout_s and was stopped.",
-    Status.CRASHED: "The process of the run died, or ran out of memory.",
-    Status.INVALID: "A point outside the box, a wrong shape, or no finite value was met.",
-    Status.SKIPPED: "The pair cannot work together; the message says why.",
+    Status.CRASHED: "The run's process died or ran out of memory.",
+    Status.INVALID: "A point was outside the box, an array had the wrong shape, or no finite value or error was found.",
+    Status.SKIPPED: "The formulation, the solver and the problem cannot be combined; the message says why.",
 }

@@ -1,4 +1,4 @@
-"""The trace of a run: how its best value fell with evaluations and seconds."""
+"""The trace of a run: its best value as a function of evaluations and time."""
 
 from __future__ import annotations
 
@@ -10,15 +10,19 @@ from numpy import ndarray
 
 __all__ = ["MAX_ROWS", "Recorder", "Trace"]
 
-MAX_ROWS = 999  # the rows of a trace stay under 1,000
+MAX_ROWS = 999  # a trace has fewer than 1,000 rows
 
 
 @dataclass(frozen=True)
 class Trace:
-    """Improvements of the best value, in order; the first row is the first evaluation, the last row the last one.
+    """The improvements of the best value, in order.
 
-    evaluations: (r,) evaluations made when the row was written. seconds: (r,) since the solver's start [s].
-    values: (r,) best value so far. points: (r, n) where it was found.
+    The first row describes the first evaluation, and the last row the state after the last evaluation.
+
+    evaluations: number of evaluations made at each row, (r,).
+    seconds: wall-clock time since the start of the solver at each row [s], (r,).
+    values: best value so far at each row, (r,).
+    points: point with the best value at each row, (r, n).
     """
 
     evaluations: Int[ndarray, " r"]
@@ -30,7 +34,7 @@ class Trace:
         return len(self.values)
 
     def thinned(self, rows: int) -> Trace:
-        """At most ``rows`` (>= 2) rows, evenly chosen, with the first and the last one kept."""
+        """Return a trace of at most ``rows`` (>= 2) evenly spaced rows, including the first and the last."""
         if len(self) <= rows:
             return self
         keep = np.unique(np.linspace(0, len(self) - 1, rows).astype(int))
@@ -39,18 +43,21 @@ class Trace:
 
 @dataclass
 class Recorder:
-    """Collects a trace while a solver runs, in bounded memory: when full, every second row between the ends goes."""
+    """Collects a trace in bounded memory while a solver runs.
+
+    When it is full, every second row is deleted, except for the first and the last.
+    """
 
     rows: list[tuple[int, float, float, ndarray]] = field(default_factory=list)
 
     def add(self, evaluation: int, seconds: float, value: float, point: ndarray) -> None:
-        """Note an improvement; ``point`` must not change afterwards."""
-        if len(self.rows) >= MAX_ROWS - 1:  # room for the closing row
+        """Record an improvement. ``point`` must not change afterwards."""
+        if len(self.rows) >= MAX_ROWS - 1:  # leaves room for the row that trace() appends
             del self.rows[1:-1:2]
         self.rows.append((evaluation, seconds, value, point))
 
     def trace(self, dimension: int, evaluations: int, seconds: float) -> Trace:
-        """The trace as it stands after ``evaluations`` evaluations and ``seconds``."""
+        """Return the trace after ``evaluations`` evaluations and ``seconds`` seconds."""
         rows = list(self.rows)
         if rows and rows[-1][0] < evaluations:
             rows.append((evaluations, seconds, *rows[-1][2:]))

@@ -1,4 +1,4 @@
-"""How plugins are found, grouped, nested in each other, and started from a template."""
+"""Plugins: finding them, grouping solvers, nesting solvers in each other, and writing new plugins from templates."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Groups of solvers: every installed one that has a property, by one name."""
+"""Groups of solvers: names for all installed solvers with a common property."""
 
 from __future__ import annotations
 
@@ -26,12 +26,14 @@ GROUPS: dict[str, Callable[[SolverInfo], bool]] = {
 
 @dataclass(frozen=True)
 class Group(Options):
-    """``group = "global"``, in place of a kind: every installed solver of that group, with its default options.
+    """A group of solvers: ``group = "global"`` in place of a kind stands for every installed solver of that group.
 
-    Solvers over solvers, such as a portfolio, are in none.
+    The solvers have their default options. Solvers that run other solvers, such as a portfolio, belong to no group.
 
-    exclude: names of solvers that are left out. include: further solvers as tables, such as single algorithms of a
-    wrapped library; the group has them where they are installed.
+    group: name of the group.
+    exclude: names of solvers to leave out of the group.
+    include: tables of further solvers to add, such as single algorithms of a wrapped library. Those that are not
+    installed are left out with a warning.
     """
 
     group: str
@@ -45,19 +47,20 @@ class Group(Options):
 
 
 def members(registry: Registry, table: dict[str, Any]) -> tuple[dict[str, dict[str, Any]], list[str]]:
-    """What ``{group = …, exclude = […], include = […]}`` stands for, and what is left out, and why.
+    """Return the solvers that ``{group = …, exclude = […], include = […]}`` stands for, and warnings.
 
-    The first holds each solver's table by where it comes from, those of the group sorted by name and then those it
-    includes. Left out are solvers that fail to import and included ones that are not installed; others of the group
-    that are not installed do not count. Raises OptionError for an unknown key, group, or name to exclude or include.
+    The first item maps the origin of each solver to its table: first the solvers of the group, sorted by name, then
+    the included ones. The second lists the solvers that were left out, with the reason: those that fail to import and
+    included ones that are not installed. Other solvers that are not installed are not listed. Raises OptionError for
+    an unknown key or group, for an unknown solver in ``exclude`` or ``include``, and if the group has no solver.
     """
     group = build(Group, table)
     known = registry.names("solver")
-    named: list[tuple[str, Any]] = [(f"exclude[{i}]", name) for i, name in enumerate(group.exclude)]
-    named += [(f"include[{i}].kind", extra.get("kind")) for i, extra in enumerate(group.include)]
+    entries: list[tuple[str, Any]] = [(f"exclude[{i}]", name) for i, name in enumerate(group.exclude)]
+    entries += [(f"include[{i}].kind", extra.get("kind")) for i, extra in enumerate(group.include)]
     problems = [
         (path, "is required" if name is None else f"unknown solver {name!r}{suggest(str(name), known)}")
-        for path, name in named
+        for path, name in entries
         if name not in known
     ]
     found: dict[str, dict[str, Any]] = {}
@@ -78,15 +81,15 @@ def members(registry: Registry, table: dict[str, Any]) -> tuple[dict[str, dict[s
             continue
         try:
             missing = registry.find("solver", extra["kind"]).missing()
-            why = f"solver {extra['kind']} {missing}" if missing else ""
+            reason = f"solver {extra['kind']} {missing}" if missing else ""
         except PluginError as error:
-            why = str(error)
-        if why:
-            left_out.append(f"{why}; it is left out of group {group.group}")
+            reason = str(error)
+        if reason:
+            left_out.append(f"{reason}; it is left out of group {group.group}")
         else:
             found[f"include[{i}]"] = extra
     if not found and not problems:
-        problems = [("group", f"no installed solver is in {group.group!r}")]
+        problems = [("group", f"expected a group with at least one installed solver, got {group.group!r}")]
     if problems:
         raise OptionError("Group", problems)
     return found, left_out

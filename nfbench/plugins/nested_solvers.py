@@ -1,4 +1,4 @@
-"""Solvers that run other solvers: options that name a solver by its table, and how it is run on part of a problem."""
+"""Support for solvers that run other solvers: options that hold a solver, and runs on part of a budget."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ __all__ = ["NestedSolver", "combined_info", "nested_solver", "run_part", "solver
 
 
 def nested_solver(kind: str, **options: Any) -> PluginOption:
-    """A registered solver as an :data:`NestedSolver` option holds it, e.g. for a default.
+    """Return a registered solver as the value of a :data:`NestedSolver` option, e.g. for its default.
 
-    Raises OptionError for an unknown or uninstalled solver, or wrong options.
+    Raises OptionError if the solver is unknown or not installed, or if its options are invalid.
     """
     registry = Registry.present()
     try:
@@ -37,40 +37,42 @@ def nested_solver(kind: str, **options: Any) -> PluginOption:
         raise OptionError("", [("kind", str(error))]) from error
 
 
-def _nested(value: Any) -> PluginOption:
+def _as_plugin_option(value: Any) -> PluginOption:
     if isinstance(value, PluginOption):
         return value
     if not isinstance(value, Mapping):
         raise ValueError(f"expected a table with the kind of a solver, got {value!r}")
     kind = value.get("kind")
     if not isinstance(kind, str):
-        came = f"expected a text, got {kind!r}" if "kind" in value else "is required"
-        raise OptionError("", [("kind", f"{came}; known: {', '.join(Registry.present().names('solver'))}")])
+        problem = f"expected a string, got {kind!r}" if "kind" in value else "is required"
+        raise OptionError("", [("kind", f"{problem}; known: {', '.join(Registry.present().names('solver'))}")])
     return nested_solver(kind, **{name: item for name, item in value.items() if name != "kind"})
 
 
-NestedSolver: TypeAlias = Annotated[PluginOption, PlainValidator(_nested)]
-"""An option that is another solver, given by its table: ``{ kind = "de", population = 20 }``."""
+NestedSolver: TypeAlias = Annotated[PluginOption, PlainValidator(_as_plugin_option)]
+"""An option whose value is another solver, given as a table such as ``{ kind = "de", population = 20 }``."""
 
 
 def solver_of(option: PluginOption) -> Solver:
-    """The solver that a :data:`NestedSolver` option holds."""
+    """Return the solver of a :data:`NestedSolver` option."""
     assert isinstance(option.made, Solver)
     return option.made
 
 
 def combined_info(info: SolverInfo, solvers: Iterable[Solver]) -> SolverInfo:
-    """``info`` with the capabilities of the nested solvers: true where it is true of any of them."""
+    """Return ``info`` with the properties of the nested solvers; a property is true if any of them has it."""
     infos = [solver.info for solver in solvers]
     names = ("stochastic", "batched", "needs_gradient", "uses_gradient", "global_search", "converges")
-    found: dict[str, Any] = {name: any(getattr(each, name) for each in infos) for name in names}
-    return replace(info, **found)
+    combined: dict[str, Any] = {name: any(getattr(nested, name) for nested in infos) for name in names}
+    return replace(info, **combined)
 
 
 def run_part(solver: Solver, part: MeteredProblem, rng: np.random.Generator) -> bool:
-    """Let a solver minimize part of a problem, with a child of ``rng``. Returns whether it ended before its budget did.
+    """Run a solver on ``part``, with a generator spawned from ``rng``; return whether the solver ended early.
 
-    BudgetExhausted is raised where the budget of the whole problem is used up, not only that of the part.
+    ``part`` comes from ``MeteredProblem.part`` and has part of the budget of the whole problem. The solver ended early
+    if it returned before the budget of the part was used up. Raises BudgetExhausted only if the budget of the whole
+    problem is used up or its target has been reached.
     """
     try:
         solver.minimize(part, rng.spawn(1)[0])
@@ -81,7 +83,7 @@ def run_part(solver: Solver, part: MeteredProblem, rng: np.random.Generator) -> 
 
 
 def versions(made: Options) -> Iterator[str]:
-    """The versions of all plugins that are named in the options of this one."""
+    """Yield the versions of all plugins in the options of ``made``, including nested ones."""
     for field in fields(made):
         value = getattr(made, field.name)
         for item in value if isinstance(value, tuple) else (value,):

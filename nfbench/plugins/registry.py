@@ -1,4 +1,4 @@
-"""The registry: finds scenarios, formulations and solvers by entry point and by file, and imports them when needed."""
+"""The registry: finds scenarios, formulations and solvers in entry points and in plugin files, and constructs them."""
 
 from __future__ import annotations
 
@@ -35,15 +35,22 @@ from nfbench.core import (
 
 __all__ = ["CONTRACTS", "Plugin", "Registry"]
 
-_present: contextvars.ContextVar[Registry | None] = contextvars.ContextVar("present", default=None)
+_active: contextvars.ContextVar[Registry | None] = contextvars.ContextVar("active", default=None)
 
-IMPORT_S = 120.0  # for a plugin file to be imported
+IMPORT_S = 120.0  # time limit for the import of a plugin file [s]
 CONTRACTS: dict[str, type[Options]] = {"solver": Solver, "formulation": Formulation, "scenario": Scenario}
 
 
 @dataclass(frozen=True)
 class Plugin:
-    """One registered class: where it comes from, and the version that enters a run's identity."""
+    """One registered class.
+
+    kind: "solver", "formulation" or "scenario".
+    name: name under which the class is registered.
+    origin: package and its version, or name of the file, that provides the class.
+    version: version of the package or hash of the file's content; it is part of a run's identity.
+    load: class itself, or entry point from which it is imported.
+    """
 
     kind: str
     name: str
@@ -52,7 +59,10 @@ class Plugin:
     load: EntryPoint | type[Options]
 
     def resolve(self) -> type[Options]:
-        """The class itself. Raises PluginError, naming the plugin and the error, if it cannot be imported."""
+        """Import the class if necessary and return it.
+
+        Raises PluginError, with the plugin and the cause, if the import fails or the object is not a valid plugin.
+        """
         if isinstance(self.load, type):
             return self.load
         try:
@@ -68,10 +78,11 @@ class Plugin:
         return cls
 
     def missing(self, made: Options | None = None) -> str | None:
-        """Where it needs libraries that are not all installed: which, and how to install them.
+        """Return which of the libraries that the plugin needs are not installed and how to install them; None if none.
 
-        made: it with the options it shall have; None: with the default ones. Looks for the modules without importing
-        them. Raises PluginError if the plugin itself cannot be imported.
+        made: plugin object, whose options may determine which libraries it needs; None for the default options.
+
+        The libraries are located without importing them. Raises PluginError if the plugin itself cannot be imported.
         """
         extra = _extra(self.resolve(), made)
         requires = extra.requires if extra else ()
@@ -80,14 +91,15 @@ class Plugin:
             return None
         package = self.origin.partition(" ")[0]
         wanted = f"'{package}[{extra.name}]'" if extra.name else " ".join(absent)
-        return f"needs {', '.join(absent)}, not installed here: pip install {wanted}"
+        verb = "is" if len(absent) == 1 else "are"
+        return f"needs {', '.join(absent)}, which {verb} not installed here: pip install {wanted}"
 
 
 class Registry:
-    """Every plugin that can be named: the installed entry points, and the classes in ``files``.
+    """All available plugins: those of the installed entry points and the classes in ``files``.
 
-    A file that fails to import is kept in ``broken`` with its error, and the rest goes on. Two plugins of one kind
-    and name raise PluginError; so does a file that does not exist.
+    A file that fails to import is listed in ``broken`` with its error, and the other plugins remain available. Raises
+    PluginError if two plugins of the same kind have the same name, or if a file does not exist.
     """
 
     def __init__(self, files: Iterable[str | Path] = ()) -> None:
@@ -102,17 +114,17 @@ class Registry:
             self._add_file(file)
 
     def names(self, kind: str) -> list[str]:
-        """The registered names of a kind (solver, formulation or scenario), sorted."""
+        """Return the sorted names of the registered plugins of a kind: solver, formulation or scenario."""
         return sorted(name for k, name in self._plugins if k == kind)
 
     def find(self, kind: str, name: str) -> Plugin:
-        """The plugin of this name. Raises PluginError, suggesting the nearest name, if there is none."""
+        """Return the plugin with this kind and name. If there is none, raise PluginError with the nearest name."""
         try:
             return self._plugins[kind, name]
         except KeyError:
             hint = suggest(name, self.names(kind))
             if "did you mean" not in hint:
-                hint += "; your own is found by --plugin FILE, or in a manifest by plugins = [FILE]"
+                hint += "; to use your own, pass --plugin FILE or add plugins = [FILE] to the manifest"
             raise PluginError(f"unknown {kind} {name!r}{hint}") from None
 
     @overload
@@ -124,27 +136,31 @@ class Registry:
     @overload
     def make(self, kind: str, name: str, options: Mapping[str, Any]) -> Options: ...
     def make(self, kind: str, name: str, options: Mapping[str, Any]) -> Options:
-        """Construct a plugin from its options. Raises PluginError, MissingExtra or OptionError."""
+        """Construct a plugin from its options.
+
+        Raises PluginError if the plugin is unknown or cannot be imported, OptionError if an option is invalid, and
+        MissingExtra if a library that it needs is not installed.
+        """
         plugin = self.find(kind, name)
-        token = _present.set(self)
+        token = _active.set(self)
         try:
             made = build(plugin.resolve(), options)
         finally:
-            _present.reset(token)
+            _active.reset(token)
         if missing := plugin.missing(made):
             raise MissingExtra(f"{kind} {name} {missing}")
         return made
 
     @classmethod
     def present(cls) -> Registry:
-        """The registry that is making a plugin at this moment, else that of what is installed."""
-        return _present.get() or _installed()
+        """Return the registry that is currently constructing a plugin, or else that of the installed plugins."""
+        return _active.get() or _installed()
 
     def _add(self, plugin: Plugin) -> None:
         other = self._plugins.setdefault((plugin.kind, plugin.name), plugin)
         if other is not plugin:
             raise PluginError(
-                f"two {plugin.kind}s are named {plugin.name!r}: one from {other.origin}, one from {plugin.origin}; "
+                f"two {plugin.kind}s are named {plugin.name!r}: one from {other.origin} and one from {plugin.origin}; "
                 f"rename one of them"
             )
 
@@ -157,8 +173,8 @@ class Registry:
         try:
             with _deadline(IMPORT_S):
                 module = _import_file(file, version)
-        except _TooLate:
-            self.broken[file] = f"was not imported within {IMPORT_S:g} s; leave work to minimize, draw and solve"
+        except _ImportTimeout:
+            self.broken[file] = f"was not imported within {IMPORT_S:g} s; move slow code into minimize, draw or solve"
             return
         except (Exception, SystemExit) as error:
             hint = "; put @dataclass(frozen=True) above its classes" if "non-frozen dataclass" in str(error) else ""
@@ -173,31 +189,31 @@ class Registry:
             self._add(Plugin(kind, name, file.name, version, cls))
 
 
-class _TooLate(BaseException):
-    """An import takes too long; no Exception, which the imported file could swallow."""
+class _ImportTimeout(BaseException):
+    """An import takes too long. Derives from BaseException, as the imported file might swallow an Exception."""
 
 
 @contextlib.contextmanager
 def _deadline(seconds: float) -> Iterator[None]:
-    """Raises _TooLate in Python code that takes longer; only a program's main thread has such a limit."""
+    """Raise _ImportTimeout in Python code that takes longer. Only the main thread can have such a limit."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
 
-    def late(number: int, frame: FrameType | None) -> None:
-        raise _TooLate
+    def raise_timeout(number: int, frame: FrameType | None) -> None:
+        raise _ImportTimeout
 
-    before = signal.signal(signal.SIGALRM, late)
+    previous = signal.signal(signal.SIGALRM, raise_timeout)
     signal.setitimer(signal.ITIMER_REAL, seconds)
     try:
         yield
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0.0)
-        signal.signal(signal.SIGALRM, before)
+        signal.signal(signal.SIGALRM, previous)
 
 
 def _extra(cls: type[Options], made: Options | None) -> Extra | None:
-    """The extra that a plugin needs; of a scenario, where options lack that have no default, it is not known yet."""
+    """Return the extra that a plugin needs; None for a scenario without ``made`` if it has required options."""
     if issubclass(cls, Solver):
         return Extra(cls.info.extra, cls.info.requires)
     if issubclass(cls, Scenario) and cls.needed_extra is not Scenario.needed_extra:
@@ -213,7 +229,7 @@ def _installed() -> Registry:
 
 
 def _import_file(file: Path, version: str) -> ModuleType:
-    """Import a file under a name of its own; the module is registered, as dataclasses and pickle need it."""
+    """Import a file under a unique module name, registered in sys.modules because dataclasses and pickle need it."""
     name = f"nfbench_plugin_{re.sub(r'[^0-9a-zA-Z]', '_', file.stem)}_{version}"
     if name in sys.modules:
         return sys.modules[name]
@@ -240,5 +256,5 @@ def _is_plugin(cls: object, module: ModuleType) -> bool:
 
 
 def _kebab(name: str) -> str:
-    """``MyOwnSolver`` as ``my-own-solver``."""
+    """Convert ``MyOwnSolver`` to ``my-own-solver``."""
     return re.sub(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", "-", name).lower()

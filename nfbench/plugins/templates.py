@@ -1,4 +1,4 @@
-"""Writes plugin files that work as they are, for ``nfbench new``."""
+"""Writes new plugin files for ``nfbench new``. The files work without changes."""
 
 from __future__ import annotations
 
@@ -11,10 +11,13 @@ from .registry import Registry
 
 __all__ = ["write_template"]
 
-SOLVER = '''"""The solver {name} of nfbench: to make your own of.
+SOLVER = '''"""The solver {name} for nfbench. Replace the algorithm with your own.
 
-nfbench check solver {file}            says whether it keeps the contract of solvers
-nfbench run STUDY.toml --plugin {file} runs it, with `[[solver]]` and `kind = "{name}"` in the manifest
+To check that it conforms to the solver contract:
+    nfbench check solver {file}
+
+To use it in a study, add `[[solver]]` with `kind = "{name}"` to the manifest and run:
+    nfbench run STUDY.toml --plugin {file}
 """
 
 from dataclasses import dataclass
@@ -25,16 +28,16 @@ import numpy as np
 from nfbench import Gt, Le, Solver, SolverInfo
 
 
-@dataclass(frozen=True)  # makes the annotated fields below its options
+@dataclass(frozen=True)  # turns the annotated fields below into options
 class {cls}(Solver):
-    """(1+1) evolution strategy with the 1/5 success rule, begun anew where its steps have become tiny.
+    """(1+1) evolution strategy with the 1/5 success rule, restarted when its steps become tiny.
 
-    step: the first step, as a fraction of the box's width.
-    least_step: below this the search begins anew at a random point.
+    step: standard deviation of the first step, as a fraction of the box's width.
+    least_step: standard deviation, as a fraction of the box's width, below which the search restarts at a random point.
     """
 
     name: ClassVar[str] = "{name}"
-    info: ClassVar[SolverInfo] = SolverInfo(  # what tables and groups go by, and what the checks hold it to
+    info: ClassVar[SolverInfo] = SolverInfo(  # shown in tables, used to form groups, and verified by the checks
         stochastic=True,
         batched=False,
         needs_gradient=False,
@@ -43,22 +46,24 @@ class {cls}(Solver):
         reference="Rechenberg 1973",
     )
 
-    step: Annotated[float, Gt(0.0), Le(1.0)] = 0.2  # checked when it is made: a wrong value is told before a run begins
+    step: Annotated[float, Gt(0.0), Le(1.0)] = 0.2  # an invalid value is reported before any run starts
     least_step: Annotated[float, Gt(0.0), Le(1.0)] = 1e-7
 
     def minimize(self, problem, rng):
-        """Ask problem(x) for a value, or problem.evaluate(X) for those of the rows of X; draw from rng alone.
+        """Minimize ``problem``, drawing all random numbers from ``rng``.
 
-        Nothing is returned: the meter knows the best point. The loop has no end, as the budget ends it.
+        ``problem(x)`` returns the value at one point, and ``problem.evaluate(X)`` the values at the rows of ``X``.
+        There is nothing to return, because nfbench keeps the best point. The loop needs no stopping rule: when the
+        budget is used up, the next evaluation raises an exception that ends the run.
         """
         while True:
-            u = rng.random(problem.dimension)  # in the unit box, so that steps mean the same along every axis
+            u = rng.random(problem.dimension)  # a point of the unit box, in which all axes have the same scale
             value, step = problem(problem.from_unit(u)), self.step
             while step >= self.least_step:
-                v = np.clip(u + step * rng.standard_normal(len(u)), 0.0, 1.0)  # a point outside would be refused
-                new = problem(problem.from_unit(v))
-                if new <= value:
-                    u, value, step = v, new, min(1.5 * step, 1.0)
+                v = np.clip(u + step * rng.standard_normal(len(u)), 0.0, 1.0)  # stay in the box
+                new_value = problem(problem.from_unit(v))
+                if new_value <= value:  # longer steps after a success, shorter ones after a failure
+                    u, value, step = v, new_value, min(1.5 * step, 1.0)
                 else:
                     step *= 0.9
 '''
@@ -75,22 +80,25 @@ from nfbench.testing import check_names, solver_checks
 
 
 @pytest.mark.parametrize("check", check_names())
-def test_it_keeps_the_contract(check):
+def test_solver_conforms_to_the_contract(check):
     (result,) = solver_checks({cls}(), only=[check])
     assert result.passed, result.message
 
 
-def test_it_finds_the_minimum_of_a_sphere():
+def test_solver_finds_the_minimum_of_a_sphere():
     instance = Functions(function="sphere", dimension=3).draw(np.random.default_rng(1))
     assert minimize(instance.problem, {cls}(), budget=5000, seed=1).value < 1e-8
 '''
 
-PROBLEM = '''"""The scenario {name} of nfbench: to make your own of.
+PROBLEM = '''"""The scenario {name} for nfbench. Replace the scenario and its problem with your own.
 
-nfbench check problem {file}           says whether scenario and problem keep their contracts
-nfbench run STUDY.toml --plugin {file} runs it, with `[scenario]` and `kind = "{name}"` in the manifest
+In this example, the unknown is a point in a square. It is estimated from noisy distances to anchors around the square.
 
-A hidden point in a square sends a signal to anchors around it; from the noisy distances its place is to be found.
+To check that the scenario and its problem conform to their contracts:
+    nfbench check problem {file}
+
+To use the scenario in a study, set `kind = "{name}"` in the `[scenario]` table of the manifest and run:
+    nfbench run STUDY.toml --plugin {file}
 """
 
 from dataclasses import dataclass
@@ -102,60 +110,68 @@ from nfbench import Ge, Gt, Instance, Problem, ProblemInstance, Scenario
 
 
 class {cls}Problem(Problem):
-    """Sum of squared differences [m²] of the distances to x = (x, y) [m] and those measured."""
+    """Sum of squared differences [m²] between the measured distances and the distances from the point (x, y) [m]."""
 
-    has_gradient = True  # leave it out, and value_and_gradient too, where there is none
+    has_gradient = True  # if your problem has no gradient, remove this line and value_and_gradient
 
     def __init__(self, anchors, distances, width):
-        self.anchors, self.distances = anchors, distances  # (a, 2) and (a,), both in m
+        self.anchors, self.distances = anchors, distances  # (a, 2) [m] and (a,) [m]
         self.lower, self.upper = np.zeros(2), np.full(2, width)
 
-    def evaluate(self, X):  # X is (p, 2), the answer (p,): each row by itself
+    def evaluate(self, X):
+        """Return the values at the points in the rows of ``X``: (p, 2) -> (p,)."""
         lengths = np.linalg.norm(X[:, None, :] - self.anchors, axis=2)
         return ((lengths - self.distances) ** 2).sum(axis=1)
 
     def value_and_gradient(self, x):
+        """Return the value and the gradient at one point ``x``, (2,)."""
         offsets = x - self.anchors
-        lengths = np.maximum(np.linalg.norm(offsets, axis=1), 1e-12)
+        lengths = np.maximum(np.linalg.norm(offsets, axis=1), 1e-12)  # avoids dividing by zero at an anchor
         errors = lengths - self.distances
         return float((errors**2).sum()), 2.0 * (errors / lengths) @ offsets
 
 
 class {cls}Instance(ProblemInstance):
-    """One draw. As a ProblemInstance it is solved by the formulation `direct`: one problem, its minimizer the estimate.
+    """One draw of the scenario: the problem and the true position, ``place`` (2,) [m].
 
-    Where an estimate takes more than that, derive from nfbench.Instance, and a nfbench.Formulation that accepts it.
+    The formulation `direct` solves any ProblemInstance: it minimizes the problem and takes the minimizer as the
+    estimate. If computing an estimate takes more than one minimization, derive this class from nfbench.Instance instead
+    and write an nfbench.Formulation that accepts it.
     """
 
     def __init__(self, problem, place):
         self.problem, self.place = problem, place
 
     def truth(self):
+        """Return the estimate whose error is 0, which the checks use."""
         return self.place
 
     def score(self, estimate):
+        """Return the errors of an estimate by column name."""
         if np.shape(estimate) != (2,):
             raise ValueError(f"estimate: expected shape (2,), got {{np.shape(estimate)}}")
         return {{"error_m": float(np.linalg.norm(estimate - self.place))}}
 
 
-@dataclass(frozen=True)  # makes the annotated fields below its options
+@dataclass(frozen=True)  # turns the annotated fields below into options
 class {cls}(Scenario):
-    """Noisy distances to anchors on a circle, from which a point in a square is to be found.
+    """Noisy distances between a point in a square and anchors on a circle around it.
 
-    anchors: how many. noise_m: standard deviation of the distances [m]. width_m: side of the square [m].
+    anchors: number of anchors.
+    noise_m: standard deviation of the noise on each distance [m].
+    width_m: side length of the square [m].
     """
 
     name: ClassVar[str] = "{name}"
     instance: ClassVar[type[Instance]] = {cls}Instance
-    error: ClassVar[str] = "error_m"  # the score that methods are ranked by
+    error: ClassVar[str] = "error_m"  # the score by which methods are ranked; smaller is better
 
     anchors: Annotated[int, Ge(3)] = 4
     noise_m: Annotated[float, Ge(0.0)] = 0.05
     width_m: Annotated[float, Gt(0.0)] = 10.0
 
     def draw(self, rng):
-        """Draw from rng alone, so that every method and every computer sees the same."""
+        """Return one draw. All random numbers come from ``rng``, so that every method gets the same data."""
         angle = 2.0 * np.pi * np.arange(self.anchors) / self.anchors
         anchors = self.width_m * (0.5 + 0.6 * np.column_stack([np.cos(angle), np.sin(angle)]))
         place = rng.uniform(0.1, 0.9, 2) * self.width_m
@@ -173,7 +189,7 @@ from nfbench.problems.functions import Direct
 from nfbench.testing import check_scenario
 
 
-def test_scenario_and_problem_keep_their_contracts():
+def test_scenario_and_problem_conform_to_their_contracts():
     check_scenario({cls}(), [Direct()])
 
 
@@ -188,14 +204,20 @@ KINDS = {"solver": "solver", "problem": "scenario"}
 
 
 def write_template(kind: str, name: str, out: Path | None = None) -> tuple[Path, Path]:
-    """Write the plugin file (default: the name with .py) and, beside it, its test; both are returned.
+    """Write a plugin file and, in the same folder, a file with its tests; return both paths.
 
-    kind: "solver" or "problem". Raises NfbenchError for a name that is no slug or is taken, and where a file exists.
+    kind: "solver" or "problem".
+    name: name under which the plugin is registered, e.g. "my-solver".
+    out: path of the plugin file; None for a file in the current folder that is named after the plugin.
+
+    Raises NfbenchError if the name is invalid or in use, or if ``out`` is not a Python file in an existing folder. An
+    existing file is not overwritten and also raises NfbenchError.
     """
     if not re.fullmatch(r"[a-z][a-z0-9]*(-[a-z0-9]+)*", name):
         raise NfbenchError(f"name: expected lower-case words joined by hyphens, e.g. my-{kind}, got {name!r}")
-    if name in (taken := Registry()).names(KINDS[kind]):
-        raise NfbenchError(f"name: {name!r} is a {KINDS[kind]} of {taken.find(KINDS[kind], name).origin} already")
+    if name in (registry := Registry()).names(KINDS[kind]):
+        origin = registry.find(KINDS[kind], name).origin
+        raise NfbenchError(f"name: expected a new name, got {name!r}, which is a {KINDS[kind]} of {origin}")
     file = Path(f"{name.replace('-', '_')}.py") if out is None else out
     if file.suffix != ".py" or not file.stem.isidentifier():
         raise NfbenchError(f"--out: expected a Python file like my_{kind}.py, got {file}")
@@ -204,7 +226,7 @@ def write_template(kind: str, name: str, out: Path | None = None) -> tuple[Path,
     test = file.with_name(f"test_{file.name}")
     for path in (file, test):
         if path.exists():
-            raise NfbenchError(f"{path} exists already and is left as it is; choose another place by --out")
+            raise NfbenchError(f"{path} already exists and was not changed; choose another path with --out")
     words = {"name": name, "cls": "".join(part.capitalize() for part in name.split("-")), "module": file.stem}
     for path, text in zip((file, test), FILES[kind], strict=True):
         path.write_text(text.format(**words, file=file.name), encoding="utf-8")

@@ -1,4 +1,4 @@
-"""From a manifest to the plan of its runs; a run as plain data."""
+"""Studies: reading a manifest, planning its runs, and describing each run as plain data."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Reads a manifest into a study, or reports everything that is wrong with it at once."""
+"""Reads a manifest into a study, or reports all of its errors at once."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ __all__ = ["load_scenarios", "load_study"]
 
 
 def load_study(path: str | Path, plugins: Iterable[str | Path] = ()) -> Study:
-    """Read and validate a manifest; ``plugins`` are further plugin files.
+    """Read and validate a manifest; ``plugins`` are plugin files in addition to those that it names.
 
-    Raises ManifestError, which lists every problem as ``path: message``.
+    Raises ManifestError, which lists every error as ``path: message``.
     """
     path = Path(path)
     table, text = _read(path)
@@ -37,10 +37,10 @@ def load_study(path: str | Path, plugins: Iterable[str | Path] = ()) -> Study:
 
 
 def load_scenarios(path: str | Path, plugins: Iterable[str | Path] = ()) -> list[tuple[dict[str, Any], Scenario]]:
-    """The swept values of each point of a study, and the scenario there; the rest of the manifest is ignored.
+    """Return the swept values and the scenario of each point of a study; the rest of the manifest is ignored.
 
-    Plugin files that the manifest names but that do not exist are left out: the manifest may be a copy, far from them.
-    Raises ManifestError where a scenario cannot be made.
+    Plugin files that the manifest names but that do not exist are ignored, because the manifest may be a copy in
+    another folder. Raises ManifestError if a scenario is invalid, and PluginError if its plugin cannot be imported.
     """
     path = Path(path)
     table, _ = _read(path)
@@ -62,7 +62,7 @@ def _scenario(spec: PluginSpec, registry: Registry) -> Scenario:
 
 
 def _read(path: Path) -> tuple[Table, str]:
-    """A manifest's tables, and its text."""
+    """Return the tables of a manifest and its text."""
     try:
         text = path.read_text(encoding="utf-8")
         return tomllib.loads(text), text
@@ -97,26 +97,26 @@ def _study(
         plugins=tuple(str(file) for file in registry.files),
         manifest=text,
         warnings=(
-            *(f"plugin {file.name} is left out: {why}" for file, why in registry.broken.items()),
+            *(f"plugin {file.name} is left out: {reason}" for file, reason in registry.broken.items()),
             *resolver.warnings,
         ),
     )
 
 
 def _top_level(table: Table, errors: ErrorCollector) -> Manifest:
-    """The manifest's keys; wrong ones are reported and replaced by stand-ins, so that the rest can be checked too."""
+    """Read the top-level keys. Invalid ones are reported and replaced by stand-ins, so that the rest is checked too."""
     for key in ("formulation", "solver", "method"):
         if isinstance(table.get(key), dict):
-            errors.add(key, f"expected a list of tables, got one table; write [[{key}]] for [{key}]")
+            errors.add(key, f"expected a list of tables, got one table; write [[{key}]] instead of [{key}]")
             table = {**table, key: [table[key]]}
     try:
         return build(Manifest, table)
     except OptionError as error:
         errors.add_all("", error)
-        wrong = {path.split(".")[0].split("[")[0] for path, _ in error.problems}
+        invalid = {path.split(".")[0].split("[")[0] for path, _ in error.problems}
         stand_ins: Table = {"name": "x", "scenario": {}, "repetitions": 1, "seed": 0}
         known = {f.name for f in fields(Manifest)}
-        return build(Manifest, {**stand_ins, **{k: v for k, v in table.items() if k in known - wrong}})
+        return build(Manifest, {**stand_ins, **{k: v for k, v in table.items() if k in known - invalid}})
 
 
 def _registry(files: Iterable[str | Path], errors: ErrorCollector) -> Registry:

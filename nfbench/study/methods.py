@@ -1,4 +1,4 @@
-"""The methods of a study: formulations combined with solvers, and the pairs that the manifest names itself."""
+"""The methods of a study: all combinations of formulations and solvers, and the pairs listed as ``[[method]]``."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ __all__ = ["study_methods"]
 
 
 def study_methods(manifest: Manifest, resolver: Resolver, scenario: Scenario | None) -> list[Method]:
-    """Every ``[[formulation]]`` with every ``[[solver]]``, then every ``[[method]]``, each with a label of its own."""
+    """Return every ``[[formulation]]`` with every ``[[solver]]``, then every ``[[method]]``, with distinct labels."""
     errors = resolver.errors
     pairs = _product(manifest, resolver)
     for i, table in enumerate(manifest.method):
@@ -25,7 +25,7 @@ def study_methods(manifest: Manifest, resolver: Resolver, scenario: Scenario | N
     if not manifest.formulation and not manifest.method:
         errors.add("formulation", "expected at least one [[formulation]] or [[method]], got none")
     elif manifest.solver and not manifest.formulation:
-        errors.add("solver", "a [[solver]] is combined with each [[formulation]], and there is none")
+        errors.add("solver", "expected at least one [[formulation]] to combine each [[solver]] with, got none")
     for pair in pairs:
         pair.check(scenario, errors)
     return _labelled(pairs, resolver)
@@ -33,7 +33,7 @@ def study_methods(manifest: Manifest, resolver: Resolver, scenario: Scenario | N
 
 @dataclass
 class _Pair:
-    """A method before its labels are known."""
+    """A method whose label is not known yet."""
 
     path: str
     formulation: Resolved[Formulation]
@@ -42,7 +42,7 @@ class _Pair:
     label: str | None = None
 
     def check(self, scenario: Scenario | None, errors: ErrorCollector) -> None:
-        """Record an error where the formulation does not fit the scenario, or where a solver has no budget."""
+        """Record an error if the formulation does not accept the scenario's instances or a solver has no budget."""
         formulation = self.formulation.made
         if scenario and formulation and not issubclass(scenario.instance, formulation.accepts):
             text = f"{self.formulation.spec.kind} solves {formulation.accepts.__name__}, but the scenario draws "
@@ -53,7 +53,7 @@ class _Pair:
 
 
 def _product(manifest: Manifest, resolver: Resolver) -> list[_Pair]:
-    """Each ``[[formulation]]`` with each ``[[solver]]``; alone where it needs none."""
+    """Combine each ``[[formulation]]`` with each ``[[solver]]``; formulations that need no solver stay alone."""
     errors = resolver.errors
     formulations = [
         (f"formulation[{i}]", resolver.resolve("formulation", _without(table, "budget"), f"formulation[{i}]"))
@@ -79,7 +79,7 @@ def _product(manifest: Manifest, resolver: Resolver) -> list[_Pair]:
 
 
 def _solvers(manifest: Manifest, resolver: Resolver) -> list[Resolved[Solver]]:
-    """The solvers named by kind, then those of groups that are not named and in no group before."""
+    """Return the solvers given by kind, then those of the groups, without duplicates."""
     named = [
         (f"solver[{i}]", resolver.resolve("solver", table, f"solver[{i}]"))
         for i, table in enumerate(manifest.solver)
@@ -97,7 +97,7 @@ def _solvers(manifest: Manifest, resolver: Resolver) -> list[Resolved[Solver]]:
 
 
 def _named_pairs(path: str, table: Table, manifest: Manifest, resolver: Resolver) -> list[_Pair]:
-    """A ``[[method]]`` entry; its formulation and solver are names or tables. One pair, or one for each of a group."""
+    """Resolve a ``[[method]]`` entry to one pair, or to one pair for each solver if its solver is a group."""
     errors = resolver.errors
     try:
         method = build(MethodTable, table)
@@ -110,19 +110,19 @@ def _named_pairs(path: str, table: Table, manifest: Manifest, resolver: Resolver
     if isinstance(method.solver, dict) and "group" in method.solver:
         solvers = [*resolver.resolve_group(method.solver, f"{path}.solver")]
         if method.label:
-            errors.add(f"{path}.label", f"expected none, as its solver is a group, got {method.label!r}")
+            errors.add(f"{path}.label", f"expected no label, as the solver is a group, got {method.label!r}")
     elif method.solver:
         solvers = [resolver.resolve("solver", _as_table(method.solver), f"{path}.solver")]
     if formulation is None or (method.solver and None in solvers):
         return []
     if _needs_solver(formulation) != bool(method.solver):
-        needs = "needs a solver, got none" if not method.solver else "needs no solver, got one"
+        needs = "needs a solver, but got none" if not method.solver else "needs no solver, but got one"
         errors.add(f"{path}.solver", f"{formulation.spec.kind} {needs}")
     return [_Pair(path, formulation, solver, limits, method.label) for solver in solvers]
 
 
 def budget_limits(manifest: Manifest, own: Any, path: str, errors: ErrorCollector) -> Limits:
-    """``[budget]``, with what a ``[[formulation]]`` or ``[[method]]`` sets for itself."""
+    """Return the limits of ``[budget]``, updated with those of one ``[[formulation]]`` or ``[[method]]``."""
     if not isinstance(own, dict):
         errors.add(path, f"expected a table, got {own!r}")
         own = {}
@@ -157,7 +157,7 @@ def _refuse_duplicates(
 
 
 def _labelled(pairs: list[_Pair], resolver: Resolver) -> list[Method]:
-    """The methods, each with a label that no other has."""
+    """Return the methods with distinct labels."""
     errors = resolver.errors
     methods: list[Method] = []
     seen: dict[str, str] = {}
@@ -174,7 +174,9 @@ def _labelled(pairs: list[_Pair], resolver: Resolver) -> list[Method]:
         if label in labels and not pair.label and budget:
             label += f" @{budget['evaluations'] or str(budget['seconds']) + 's'}"
         if labels.setdefault(label, pair.path) != pair.path:
-            errors.add(f"{pair.path}.label", f"{label!r} is taken by {labels[label]}; give each method its own label")
+            errors.add(
+                f"{pair.path}.label", f"{label!r} is also the label of {labels[label]}; give each method its own"
+            )
         limits = pair.limits
         methods.append(Method(formulation, solver, budget, label, limits.run_timeout_s, limits.run_memory_mb))
     return methods

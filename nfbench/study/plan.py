@@ -1,4 +1,4 @@
-"""A study: scenario points × methods × repetitions, and the pure generator of its runs."""
+"""A study, which is the product of scenario points, methods and repetitions, and the generator of its runs."""
 
 from __future__ import annotations
 
@@ -16,7 +16,21 @@ __all__ = ["Study", "digest", "seed_from"]
 
 @dataclass(frozen=True)
 class Study:
-    """A validated manifest. ``manifest`` is its text as read; ``plugins`` the plugin files it needs."""
+    """A validated manifest.
+
+    name: name of the study and of its results folder.
+    title: title shown in tables, reports and figures.
+    expect: what the author expects the study to show.
+    seed: seed from which the seeds of all instances and solvers are derived.
+    repetitions: number of repetitions of each method at each point.
+    points: points of the sweep.
+    methods: methods that the study compares.
+    error: name of the score by which methods are ranked.
+    outlier_m: position error above which the estimate of a source counts as an outlier [m].
+    plugins: paths of the plugin files that the study needs.
+    manifest: text of the manifest file.
+    warnings: problems that do not prevent the study from running, such as plugin files that fail to import.
+    """
 
     name: str
     title: str
@@ -36,35 +50,36 @@ class Study:
 
     @cached_property
     def swept(self) -> list[str]:
-        """The swept keys, in the manifest's order."""
+        """The swept keys, in the order of the manifest."""
         return list(self.points[0].swept)
 
     @cached_property
     def fingerprint(self) -> str:
-        """Tells whether two studies plan the same runs under the same labels."""
-        points = [[point.scenario.label, point.scenario.version, where, point.swept] for point, where in self._points]
+        """A hash that is equal for two studies if they plan the same runs with the same labels."""
+        points = [[point.scenario.label, point.scenario.version, key, point.swept] for point, key in self._points]
         methods = [
-            [method.label, method.formulation.label, method.solver and method.solver.label, how, _versions(method)]
-            for method, how in self._methods
+            [method.label, method.formulation.label, method.solver and method.solver.label, key, _versions(method)]
+            for method, key in self._methods
         ]
         return digest([self.seed, self.repetitions, points, methods])
 
     def specs(self) -> Iterator[RunSpec]:
-        """Every run, repetitions outermost, so that an unfinished study has compared all methods alike."""
+        """Yield every run. Repetitions are the outermost loop, so an unfinished study treats all methods equally."""
         return map(self.spec, range(len(self)))
 
     def spec(self, ordinal: int) -> RunSpec:
-        """The run at this place in the order of ``specs``."""
+        """Return the run at position ``ordinal`` of ``specs``."""
         repetition, rest = divmod(ordinal, len(self.points) * len(self.methods))
-        (point, where), (method, how) = self._points[rest // len(self.methods)], self._methods[rest % len(self.methods)]
-        parts = (self.seed, where, how, repetition)
+        point, point_digest = self._points[rest // len(self.methods)]
+        method, method_digest = self._methods[rest % len(self.methods)]
+        parts = (self.seed, point_digest, method_digest, repetition)
         return RunSpec(
             run_id=digest([*parts, [point.scenario.version, *_versions(method)]])[:20],
             study=self.name,
             point=point,
             method=method,
             repetition=repetition,
-            instance_seed=seed_from("instance", self.seed, where, repetition),
+            instance_seed=seed_from("instance", self.seed, point_digest, repetition),
             solver_seed=seed_from("solver", *parts),
         )
 
@@ -78,13 +93,13 @@ class Study:
 
 
 def digest(data: Any) -> str:
-    """SHA-256 of plain data in canonical JSON (sorted keys, shortest round-trip floats), in hexadecimal."""
+    """Return the hexadecimal SHA-256 of plain data in canonical JSON: sorted keys, shortest round-trip floats."""
     text = json.dumps(data, sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(text.encode()).hexdigest()
 
 
 def seed_from(*parts: Any) -> int:
-    """A seed of 63 bits that depends on every part and on nothing else."""
+    """Return a 63-bit seed that depends on all parts and on nothing else."""
     return int(digest(list(parts))[:16], 16) >> 1
 
 

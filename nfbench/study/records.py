@@ -1,4 +1,4 @@
-"""A run as plain data: what is asked for (``RunSpec``) and what came of it (``RunRecord``)."""
+"""A run as plain data: its specification (``RunSpec``) and its result (``RunRecord``)."""
 
 from __future__ import annotations
 
@@ -17,9 +17,13 @@ __all__ = ["Method", "PluginSpec", "Point", "RunRecord", "RunSpec"]
 class PluginSpec:
     """One scenario, formulation or solver with its options, as plain data.
 
-    label: its name in tables. options: canonical, defaults included; chosen: those that differ from their default.
-    version: of the plugin that provides it.
-    broken: why it cannot be made (a plugin file that fails to import); its runs fail with this message.
+    kind: name under which the plugin is registered.
+    label: name shown in tables.
+    options: all options in canonical form, including defaults.
+    chosen: options in canonical form that differ from their defaults.
+    version: version of the plugin, followed by the versions of the plugins in its options.
+    broken: reason why the plugin is not available, e.g. a plugin file that fails to import; its runs fail with this
+    message. None if the plugin is available.
     """
 
     kind: str
@@ -31,13 +35,17 @@ class PluginSpec:
 
     @property
     def identity(self) -> dict[str, Any]:
-        """What it is, whatever it is called; the same when its plugin gains an option."""
+        """The kind and the chosen options. Neither the label nor a new option with a default changes them."""
         return {"kind": self.kind, **self.chosen}
 
 
 @dataclass(frozen=True)
 class Point:
-    """One point of the sweep: the scenario there, and the swept keys' values."""
+    """One point of the sweep.
+
+    scenario: scenario at this point.
+    swept: value of each swept key at this point.
+    """
 
     scenario: PluginSpec
     swept: dict[str, Any]
@@ -45,7 +53,15 @@ class Point:
 
 @dataclass(frozen=True)
 class Method:
-    """One formulation with one solver (None where it needs none) and what that solver may spend on each problem."""
+    """One formulation, with a solver and a budget if it needs them.
+
+    formulation: formulation.
+    solver: solver; None if the formulation needs none.
+    budget: limits on what the solver may spend on each problem, as the options of Budget; None without a solver.
+    label: name shown in tables.
+    run_timeout_s: time after which a run is killed [s]; None for no limit.
+    run_memory_mb: memory that a run may allocate [MiB]; None for no limit.
+    """
 
     formulation: PluginSpec
     solver: PluginSpec | None
@@ -57,11 +73,18 @@ class Method:
 
 @dataclass(frozen=True)
 class RunSpec:
-    """One run as text and numbers: hashable, storable, and the same on every machine.
+    """The specification of one run as text and numbers, which can be stored and is the same on every machine.
 
-    run_id identifies what is computed: the options of scenario, formulation and solver that differ from their
-    defaults, budget, study seed, repetition and plugin versions; not labels, timeouts, worker counts or paths.
-    instance_seed: the same for every method at a scenario point and repetition, so that comparisons are paired.
+    run_id: hash of everything that determines the result: the options of the scenario, formulation and solver that
+    differ from their defaults, the budget, the study's seed, the repetition and the plugin versions. Labels, timeouts,
+    worker counts and paths do not enter it.
+    study: name of the study.
+    point: point of the sweep.
+    method: method to run.
+    repetition: number of the repetition, starting at 0.
+    instance_seed: seed of the instance. It is the same for every method at a scenario point and repetition, so that
+    comparisons are paired.
+    solver_seed: seed of the solver. It depends on the scenario, the method, the study's seed and the repetition.
     """
 
     run_id: str
@@ -75,11 +98,20 @@ class RunSpec:
 
 @dataclass(frozen=True)
 class RunRecord:
-    """What came of one run.
+    """The result of one run.
 
-    objective: the best value of the last problem solved. evaluations: over all its problems. runtime_s, cpu_s: of the
-    formulation's ``solve``, wall-clock and of this process [s]. scores: by column name. estimate: as the formulation
-    gave it. traces: one for each problem it minimized, together under 1,000 rows.
+    run_id: identity of the run, as in its specification.
+    status: how the run ended.
+    message: explanation of the status; empty if there is nothing to explain.
+    objective: best value of the last problem minimized, in the problem's unit; NaN if there was none.
+    evaluations: number of evaluations over all problems that the run minimized.
+    runtime_s: wall-clock time of the formulation's ``solve`` [s]; NaN if it is not known.
+    cpu_s: CPU time of the process during ``solve`` [s]; NaN if it is not known.
+    scores: scores of the estimate by column name.
+    estimate: estimate that the formulation returned, as nested lists; None if it returned none.
+    traces: one trace for each problem that was minimized, together fewer than 1,000 rows.
+    host: name of the machine that executed the run.
+    worker: id of the process that executed the run.
     """
 
     run_id: str

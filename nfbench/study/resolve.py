@@ -1,4 +1,4 @@
-"""Resolves the tables of a manifest: each names a plugin, gives its options, and gets a label of its own."""
+"""Resolves the tables of a manifest, each of which names a plugin and its options, and gives them distinct labels."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ T_co = TypeVar("T_co", bound=Options, covariant=True)
 
 
 class ErrorCollector:
-    """Collects what is wrong with a manifest as ``path: message`` lines, each line once."""
+    """Collects the errors of a manifest as lines ``path: message``, without duplicates."""
 
     def __init__(self) -> None:
         self.texts: list[str] = []
@@ -28,21 +28,22 @@ class ErrorCollector:
         self.add_line(f"{path}: {text}")
 
     def add_line(self, line: str) -> None:
-        """Record a line that already names its path."""
+        """Record an error that already has the form ``path: message``."""
         if line not in self.texts:
             self.texts.append(line)
 
     def add_all(self, path: str, error: OptionError) -> None:
-        """Record every problem of an OptionError below ``path``."""
+        """Record every problem of an OptionError, with its path below ``path``."""
         for sub, text in error.problems:
             self.add(".".join(part for part in (path, sub) if part) or "manifest", text)
 
 
 @dataclass(frozen=True)
 class Resolved(Generic[T_co]):
-    """What a table of the manifest stands for: the specification that enters the plan, and the object it makes.
+    """A resolved table of the manifest.
 
-    ``made`` is None where the named plugin cannot be imported: the specification is kept, and its runs fail.
+    spec: specification that becomes part of the plan.
+    made: plugin object; None if the plugin cannot be imported. In that case the runs are planned, but fail.
     """
 
     spec: PluginSpec
@@ -50,12 +51,12 @@ class Resolved(Generic[T_co]):
 
     @property
     def identity(self) -> str:
-        """A digest of the plugin and its options; labels do not enter it."""
+        """A hash of the plugin and its options, independent of the label."""
         return digest(self.spec.identity)
 
 
 class Resolver:
-    """Resolves tables with the plugins of one registry, and keeps their labels distinct."""
+    """Resolves tables with the plugins of one registry and keeps the labels distinct."""
 
     def __init__(self, registry: Registry, errors: ErrorCollector) -> None:
         self.registry = registry
@@ -82,7 +83,7 @@ class Resolver:
         path: str,
         errors: ErrorCollector | None = None,
     ) -> Resolved[Options] | None:
-        """What a table of this kind stands for; None if the table is wrong, with the errors recorded."""
+        """Resolve a table of this kind. If the table is invalid, record the errors and return None."""
         errors = errors or self.errors
         named = self._name_and_label(kind, table, path, errors)
         if named is None:
@@ -95,8 +96,8 @@ class Resolver:
             if not self.registry.broken or "did you mean" in str(error):
                 errors.add(f"{path}.kind", str(error))
                 return None
-            why = "; ".join(f"plugin {file.name}: {text}" for file, text in self.registry.broken.items())
-            return self._unavailable(kind, name, label, options, digest(why), f"{error} ({why})")
+            reason = "; ".join(f"plugin {file.name}: {text}" for file, text in self.registry.broken.items())
+            return self._unavailable(kind, name, label, options, digest(reason), f"{error} ({reason})")
         try:
             made: Options = self.registry.make(kind, name, options)
         except OptionError as error:
@@ -107,12 +108,15 @@ class Resolver:
             return None
         except PluginError as error:
             return self._unavailable(kind, name, label, options, plugin.version, str(error))
-        every, chosen = _without_kind(canonical(made)), _without_kind(canonical(made, defaults=False))
+        all_options, chosen = _without_kind(canonical(made)), _without_kind(canonical(made, defaults=False))
         version = "+".join(dict.fromkeys([plugin.version, *versions(made)]))
-        return Resolved(self._keep(kind, PluginSpec(name, label, every, chosen, version)), made)
+        return Resolved(self._keep(kind, PluginSpec(name, label, all_options, chosen, version)), made)
 
     def resolve_group(self, table: Mapping[str, Any], path: str) -> list[Resolved[Solver]]:
-        """The solvers that ``{group = …, exclude = […]}`` stands for; none, with errors recorded, if it is wrong."""
+        """Resolve a table ``{group = …, exclude = […], include = […]}`` to solvers.
+
+        If the table is invalid, record the errors and return an empty list.
+        """
         if "kind" in table:
             self.errors.add(path, f"expected a kind or a group, got both: {table['kind']!r} and {table['group']!r}")
             return []
@@ -122,16 +126,19 @@ class Resolver:
             self.errors.add_all(path, error)
             return []
         self.warnings = list(dict.fromkeys([*self.warnings, *left_out]))
-        solvers = [self.resolve("solver", table, f"{path}.{where}") for where, table in tables.items()]
+        solvers = [self.resolve("solver", table, f"{path}.{origin}") for origin, table in tables.items()]
         return list({solver.identity: solver for solver in solvers if solver}.values())
 
     def labelled(self, kind: str, spec: PluginSpec) -> PluginSpec:
-        """The specification with its final label: its own, or its kind, made unique by the options that differ."""
+        """Return the specification with its final label.
+
+        The label is the one given in the manifest, or else the kind, with the options that distinguish it if needed.
+        """
         pool = self._pool[kind].values()
         label = self._pool[kind][digest(spec.identity)].label or self._distinct(spec, kind)
-        twins = [other for other in pool if other.label == label and other.identity != spec.identity]
-        if twins:
-            self.errors.add(kind, f"two of them are labelled {label!r}; give each its own label")
+        same_label = [other for other in pool if other.label == label and other.identity != spec.identity]
+        if same_label:
+            self.errors.add(kind, f"two {kind}s are labelled {label!r}; give each its own label")
         return replace(spec, label=label)
 
     def _name_and_label(
@@ -139,33 +146,35 @@ class Resolver:
     ) -> tuple[str, str] | None:
         name, label = table.get("kind"), table.get("label", "")
         if not isinstance(label, str) or ("label" in table and not label):
-            errors.add(f"{path}.label", f"expected a text, got {table['label']!r}")
+            errors.add(f"{path}.label", f"expected a non-empty string, got {table['label']!r}")
             return None
         if not isinstance(name, str):
             known = ", ".join(self.registry.names(kind))
-            came = f"expected a text, got {name!r}" if "kind" in table else "is required"
-            errors.add(f"{path}.kind", f"{came}; known: {known}")
+            problem = f"expected a string, got {name!r}" if "kind" in table else "is required"
+            errors.add(f"{path}.kind", f"{problem}; known: {known}")
             return None
         return name, label or (name if kind == "scenario" else "")
 
     def _unavailable(
-        self, kind: str, name: str, label: str, options: Mapping[str, Any], version: str, why: str
+        self, kind: str, name: str, label: str, options: Mapping[str, Any], version: str, reason: str
     ) -> Resolved[Any]:
-        """A plugin that cannot be imported: its runs are planned and fail with the reason."""
+        """Resolve a plugin that cannot be imported. Its runs are planned and fail with the reason."""
         given = canonical(options)
-        return Resolved(self._keep(kind, PluginSpec(name, label, given, given, version, why)), None)
+        return Resolved(self._keep(kind, PluginSpec(name, label, given, given, version, reason)), None)
 
     def _keep(self, kind: str, spec: PluginSpec) -> PluginSpec:
-        """Remember the specification; a label given once holds wherever the same plugin and options are named."""
+        """Store the specification. A label given once applies wherever the same plugin and options are used."""
         known = self._pool[kind].setdefault(digest(spec.identity), spec)
         if spec.label and not known.label:
             self._pool[kind][digest(spec.identity)] = spec
         elif spec.label != known.label and spec.label:
-            self.errors.add(kind, f"{spec.kind} is labelled both {known.label!r} and {spec.label!r}")
+            self.errors.add(
+                kind, f"expected one label for the same {spec.kind}, got {known.label!r} and {spec.label!r}"
+            )
         return spec
 
     def _distinct(self, spec: PluginSpec, kind: str) -> str:
-        """``de``, or ``de(population=120)`` where another ``de`` without a label differs in that."""
+        """Return ``de``, or ``de(population=120)`` if another ``de`` without a label has a different population."""
         others = [o for o in self._pool[kind].values() if o.kind == spec.kind and o.identity != spec.identity]
         differing = [
             key
@@ -181,7 +190,7 @@ def _without_kind(table: dict[str, Any]) -> dict[str, Any]:
 
 
 def _plain(value: Any) -> str:
-    """A value as a label shows it: of a table only what is set."""
+    """Format a value for a label; keys of a table whose value is None are omitted."""
     if isinstance(value, dict):
         return f"{{{', '.join(f'{name}={_plain(item)}' for name, item in value.items() if item is not None)}}}"
     if isinstance(value, list):

@@ -1,4 +1,4 @@
-"""The tables of a manifest as options: every key with its type, its limits and its default."""
+"""The tables of a manifest as options: every key with its type, limits and default."""
 
 from __future__ import annotations
 
@@ -16,7 +16,23 @@ Table: TypeAlias = dict[str, Any]
 
 @dataclass(frozen=True)
 class Manifest(Options):
-    """The top level of a manifest; its tables are checked by what they describe."""
+    """The top level of a manifest. The classes that the tables describe check the contents of the tables.
+
+    name: name of the study and of its results folder: letters, digits, hyphens and underscores, at most 64 characters.
+    scenario: ``[scenario]`` table: the ``kind`` of a scenario and its options.
+    repetitions: number of repetitions of each method at each point of the sweep; each repetition has its own instance.
+    seed: seed from which the seeds of all instances and solvers are derived.
+    title: title shown in tables, reports and figures; empty for none.
+    expect: what the author expects the study to show; it is printed with the results; empty for nothing.
+    plugins: plugin files, relative to the manifest's folder.
+    sweep: ``[sweep]`` table: lists of values for options of the scenario, by dotted key; every combination is run.
+    formulation: ``[[formulation]]`` tables: the ``kind`` of a formulation, its options, and optionally a ``budget``.
+    solver: ``[[solver]]`` tables: the ``kind`` or the ``group`` of solvers, and their options. Each solver is combined
+    with each formulation that needs one.
+    method: ``[[method]]`` tables, which name further pairs of a formulation and a solver.
+    budget: ``[budget]`` table: the limits for solvers and runs.
+    summary: ``[summary]`` table: settings of the summary tables.
+    """
 
     name: Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$")]
     scenario: Table
@@ -35,9 +51,13 @@ class Manifest(Options):
 
 @dataclass(frozen=True)
 class Limits(Options):
-    """``[budget]``: what a solver may spend on each problem handed to it, and what stops a run for good.
+    """``[budget]``: the limits on what a solver may spend on each problem, and the limits on a whole run.
 
-    run_timeout_s: a run that takes longer is killed [s]. run_memory_mb: what a run may allocate [MiB].
+    evaluations: maximum number of evaluations of the objective per problem; None for no limit.
+    seconds: maximum wall-clock time per problem [s]; None for no limit.
+    target: objective value, in the problem's unit, at or below which the solver is stopped; None for no target.
+    run_timeout_s: time after which a run is killed [s]; None for no limit.
+    run_memory_mb: memory that a run may allocate [MiB]; None for no limit.
     """
 
     evaluations: Annotated[int, Ge(1)] | None = None
@@ -50,7 +70,7 @@ class Limits(Options):
         self.budget()
 
     def budget(self) -> Table | None:
-        """The solver's budget as plain data; None where it has none."""
+        """Return the solver's budget as plain data; None if no limit and no target is set."""
         if self.evaluations is self.seconds is self.target is None:
             return None
         table: Table = canonical(Budget(self.evaluations, self.seconds, self.target))
@@ -59,9 +79,9 @@ class Limits(Options):
 
 @dataclass(frozen=True)
 class Summary(Options):
-    """``[summary]``: how rows are summed up; it changes no run.
+    """``[summary]``: settings of the summary tables. They do not affect the runs.
 
-    outlier_m: a source estimated further off than this counts as an outlier [m].
+    outlier_m: position error above which the estimate of a source counts as an outlier [m].
     """
 
     outlier_m: Annotated[float, Gt(0.0)] = 1.0
@@ -69,7 +89,13 @@ class Summary(Options):
 
 @dataclass(frozen=True)
 class MethodTable(Options):
-    """``[[method]]``: one formulation–solver pair with its own budget (default: ``[budget]``) and label."""
+    """``[[method]]``: one pair of a formulation and a solver, with its own budget and label.
+
+    formulation: kind of the formulation, or a table with its kind and options.
+    solver: kind of the solver, or a table with its kind or group and options; None if the formulation needs none.
+    budget: limits that replace those of ``[budget]`` for this method; limits not given here are taken from there.
+    label: name shown in tables; None for a label made from the formulation and the solver.
+    """
 
     formulation: str | Table
     solver: str | Table | None = None

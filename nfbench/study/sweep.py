@@ -1,4 +1,4 @@
-"""The points of a sweep: every combination of the swept values, each with its scenario."""
+"""The points of a sweep: all combinations of the swept values, each with its scenario."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ __all__ = ["sweep_points"]
 
 
 def sweep_points(manifest: Manifest, resolver: Resolver) -> tuple[list[Point], Scenario | None]:
-    """Every combination of the swept values, and one of the scenarios to check formulations against."""
+    """Return a point for every combination of the swept values, and one scenario to check formulations against."""
     errors = resolver.errors
     swept = _swept(manifest.sweep, errors)
     if not manifest.scenario:
@@ -29,34 +29,34 @@ def sweep_points(manifest: Manifest, resolver: Resolver) -> tuple[list[Point], S
     seen: dict[str, str] = {}
     for indexed in itertools.product(*(list(enumerate(values)) for values in swept.values())):
         setting = {key: value for key, (_, value) in zip(swept, indexed, strict=True)}
-        places = {f"scenario.{key}": f"sweep.{key}[{i}]" for key, (i, _) in zip(swept, indexed, strict=True)}
-        here = ErrorCollector()
-        resolved = resolver.resolve("scenario", _with(manifest.scenario, setting), "scenario", here)
-        for text in here.texts:
-            errors.add_line(_renamed(text, places))
+        paths = {f"scenario.{key}": f"sweep.{key}[{i}]" for key, (i, _) in zip(swept, indexed, strict=True)}
+        point_errors = ErrorCollector()
+        resolved = resolver.resolve("scenario", _with(manifest.scenario, setting), "scenario", point_errors)
+        for text in point_errors.texts:
+            errors.add_line(_renamed(text, paths))
         if resolved is None:
             continue
         spec, scenario = resolved.spec, resolved.made
-        where = ", ".join(places.values())
-        first = seen.setdefault(resolved.identity, where)
-        if first != where:
-            errors.add(where, f"the same scenario as at {first}")
+        origin = ", ".join(paths.values())
+        first = seen.setdefault(resolved.identity, origin)
+        if first != origin:
+            errors.add(origin, f"gives the same scenario as {first}")
         points.append(Point(spec, {key: _at(spec.options, key, setting[key]) for key in swept}))
     if scenario is None and not errors.texts:
-        errors.add("scenario", points[0].scenario.broken or "cannot be made")
+        errors.add("scenario", points[0].scenario.broken or "cannot be constructed")
     return points, scenario
 
 
-def _renamed(text: str, places: Mapping[str, str]) -> str:
-    """An error at a swept key of the scenario, with its place in the sweep as the path."""
-    for path, place in places.items():
+def _renamed(text: str, paths: Mapping[str, str]) -> str:
+    """Replace the path of an error in a swept key of the scenario by the path of its value in the sweep."""
+    for path, swept_path in paths.items():
         if text.startswith(path) and text[len(path)] in ":.[":
-            return place + text[len(path) :]
+            return swept_path + text[len(path) :]
     return text
 
 
 def _swept(sweep: Table, errors: ErrorCollector, prefix: str = "") -> dict[str, list[Any]]:
-    """``[sweep]`` with nested tables flattened to dotted keys."""
+    """Return ``[sweep]`` with nested tables flattened to dotted keys."""
     swept: dict[str, list[Any]] = {}
     for key, values in sweep.items():
         path = f"{prefix}{key}"
@@ -70,7 +70,7 @@ def _swept(sweep: Table, errors: ErrorCollector, prefix: str = "") -> dict[str, 
 
 
 def _with(table: Table, setting: Table) -> Table:
-    """The scenario table with each dotted key set."""
+    """Return the scenario table with each dotted key set to its value."""
     table = copy.deepcopy(table)
     for path, value in setting.items():
         *outer, last = path.split(".")
@@ -78,13 +78,13 @@ def _with(table: Table, setting: Table) -> Table:
         for key in outer:
             inner = inner.setdefault(key, {})
             if not isinstance(inner, dict):
-                return {**table, path: value}  # reported as an unknown option of that name
+                return {**table, path: value}  # will be reported as an unknown option of this name
         inner[last] = value
     return table
 
 
 def _at(options: Table, path: str, given: Any) -> Any:
-    """The canonical value of a dotted key, or the given one where the options do not keep it (a file that was read)."""
+    """Return the canonical value of a dotted key, or the given value if the options do not contain it."""
     value: Any = options
     for key in path.split("."):
         value = value.get(key) if isinstance(value, dict) else None

@@ -1,4 +1,4 @@
-"""The conformance suite of solvers: what every solver must do, as checks whose failures say how to mend them.
+"""The conformance suite for plugins: checks of what every solver must do, each with a hint how to fix a failure.
 
 In a plugin's tests::
 
@@ -7,7 +7,7 @@ In a plugin's tests::
     def test_conformance():
         check_solver(MySolver(population=20))
 
-``check_problem(problem)`` and ``check_scenario(scenario, formulations)`` do the same for what is solved.
+``check_problem(problem)`` and ``check_scenario(scenario, formulations)`` do the same for problems and scenarios.
 """
 
 from __future__ import annotations

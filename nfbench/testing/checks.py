@@ -1,4 +1,4 @@
-"""The checks: what every solver must do, and how to mend it where it does not."""
+"""The checks of a solver: what every solver must do, and how to fix it when it does not."""
 
 from __future__ import annotations
 
@@ -33,13 +33,19 @@ from .replay import replay, replay_elsewhere, same
 from .subject import DIMENSIONS, Broken, Failed, Outcome, Subject, ended_ok, need
 
 BUDGETS = (1, 7, 50, 500)
-SEARCH = 20_000  # evaluations per unknown in which the minimum of the bowl must be found
-PRECISION = {True: 1e-6, False: 1e-2}  # of the bowl's range of values, for solvers that converge and others
+SEARCH = 20_000  # evaluations per unknown within which the minimum of the bowl must be found
+PRECISION = {True: 1e-6, False: 1e-2}  # fraction of the bowl's range of values, by SolverInfo.converges
 
 
 @dataclasses.dataclass(frozen=True)
 class CheckResult:
-    """The outcome of one check. message: why it failed and how to mend it, or a note on what was not applicable."""
+    """The outcome of one check.
+
+    name: name of the check.
+    passed: whether the check passed; a check that does not apply to the solver passes.
+    message: if the check failed, why it failed and how to fix it; otherwise a note, for example that the check does
+        not apply, or an empty string.
+    """
 
     name: str
     passed: bool
@@ -47,9 +53,10 @@ class CheckResult:
 
 
 def solver_checks(solver: Solver, only: Iterable[str] | None = None) -> Iterator[CheckResult]:
-    """Run the checks (those named in ``only``, or all), yielding each result as it comes.
+    """Run the checks named in ``only`` (default: all checks) and yield each result as soon as it is available.
 
-    The global random states of NumPy and Python are left as they were found.
+    The global random states of NumPy and Python are restored after each check. Raises ValueError if ``only`` contains
+    an unknown name.
     """
     names = list(_CHECKS) if only is None else list(only)
     if unknown := set(names) - set(_CHECKS):
@@ -64,14 +71,14 @@ def solver_checks(solver: Solver, only: Iterable[str] | None = None) -> Iterator
         except Incompatible as reason:
             result = CheckResult(name, True, f"not applicable: {reason}")
         except Exception as error:
-            result = CheckResult(name, False, f"expected the check to run through, got {explain(error)}.")
+            result = CheckResult(name, False, f"expected the check to run to its end, got {explain(error)}.")
         finally:
             _set_global_random(states)
         yield result
 
 
 def check_solver(solver: Solver, *, only: Iterable[str] | None = None) -> None:
-    """Raise AssertionError, listing every failed check, unless the solver passes them all."""
+    """Raise AssertionError with a list of the failed checks unless the solver passes every check."""
     failed = [result for result in solver_checks(solver, only) if not result.passed]
     if failed:
         lines = (f"  {result.name}: {result.message}" for result in failed)
@@ -79,7 +86,7 @@ def check_solver(solver: Solver, *, only: Iterable[str] | None = None) -> None:
 
 
 def check_names() -> list[str]:
-    """The names of all checks, in the order they run."""
+    """Return the names of all checks, in the order in which they run."""
     return list(_CHECKS)
 
 
@@ -105,8 +112,8 @@ def _described(subject: Subject) -> None:
     need(
         doc and not doc.startswith(f"{cls.__name__}(") and not missing,
         "a docstring that explains every option",
-        f"nothing on {', '.join(missing)}" if missing else "no docstring",
-        "Name each option in the class docstring with its meaning and unit.",
+        f"no entry for {', '.join(missing)}" if missing else "no docstring",
+        "Describe each option in the class docstring as `name: meaning and unit`.",
     )
 
 
@@ -119,17 +126,16 @@ def _budget(subject: Subject) -> None:
         counted = outcome.minimum.evaluations
         need(
             counted == probe.evaluations <= budget,
-            f"the meter and the problem to count the same, at most {budget}",
-            f"{counted} by the meter and {probe.evaluations} by the problem",
-            "Evaluate through problem(x) and problem.evaluate(X) alone.",
+            f"the meter and the problem to count the same number of evaluations, at most {budget}",
+            f"{counted} in the meter and {probe.evaluations} in the problem",
+            "Evaluate the problem only through problem(x), problem.evaluate(X) and problem.value_and_gradient(x).",
         )
 
 
 @_check
 def _budget_in_seconds(subject: Subject) -> None:
-    ended_ok(
-        subject.run(subject.probe(), Budget(seconds=0.2)), "with a budget of 0.2 s, where problem.remaining is huge"
-    )
+    outcome = subject.run(subject.probe(), Budget(seconds=0.2))
+    ended_ok(outcome, "with a budget of 0.2 s, for which problem.remaining is very large")
 
 
 @_check
@@ -145,9 +151,11 @@ def _stops_when_told(subject: Subject) -> None:
                 ended = False
         need(
             not probe.stops or (probe.stops == 1 and not ended),
-            f"BudgetExhausted, raised at evaluation {at}, to leave minimize at once",
-            f"{probe.stops - 1} further requests, and minimize {'returned' if ended else 'raised it only then'}",
-            "Catch no BaseException, and nothing bare; if the library does, remember the exception and raise it again.",
+            f"minimize to stop as soon as BudgetExhausted is raised at evaluation {at}",
+            f"{probe.stops - 1} further evaluation requests, and minimize "
+            f"{'returned normally' if ended else 'raised the exception only afterwards'}",
+            "Remove every bare `except:` and `except BaseException:`; if a wrapped library catches the exception, "
+            "store it in the objective function and raise it again when the library returns.",
         )
 
 
@@ -162,7 +170,7 @@ def _errors_pass(subject: Subject) -> None:
             not probe.stops or minimum.status is Status.FAILED,
             f"a problem that raises at evaluation {at} to end the run as failed",
             f"status {minimum.status}",
-            "Let the problem's exceptions pass.",
+            "Do not catch the exceptions that the problem raises.",
         )
 
 
@@ -172,22 +180,22 @@ def _bounds(subject: Subject) -> None:
         minimum = subject.run(subject.probe(shape=shape), 1000).minimum
         need(
             minimum.status is not Status.INVALID,
-            "every point within the box, even where the minimum is in its corner",
+            "every point to lie within the bounds, even when the minimum is in a corner of the box",
             minimum.message,
-            "Keep the points inside: clip, mirror or draw again; problem.from_unit(U) is safe against rounding.",
+            "Clip, mirror or redraw the points that leave the box; problem.from_unit(U) is safe against rounding.",
         )
-        ended_ok(Outcome(minimum, [], ""), f"on a plane {shape} along every axis")
+        ended_ok(Outcome(minimum, [], ""), f"on a plane that is {shape} along every axis")
 
 
 @_check
 def _same_seed(subject: Subject) -> None:
     replays = []
-    for disturbance in (1, 2):  # what the global generators hold must not matter
-        random.seed(disturbance)
-        np.random.seed(disturbance)  # noqa: NPY002
+    for global_seed in (1, 2):  # the state of the global generators must not matter
+        random.seed(global_seed)
+        np.random.seed(global_seed)  # noqa: NPY002
         replays.append(replay(subject, subject.dimension))
-    mend = "Draw from the generator handed to minimize alone, and keep no state on the solver."
-    same(replays[0], replays[1], "in this process", mend)
+    remedy = "Draw random numbers only from the generator passed to minimize, and keep no state on the solver."
+    same(replays[0], replays[1], "in this process", remedy)
 
 
 @_check
@@ -195,8 +203,9 @@ def _new_process(subject: Subject) -> None:
     same(
         replay(subject, subject.dimension),
         replay_elsewhere(subject),
-        "in this and in a new process",
-        "Let nothing depend on what ran before, on hash() or the order of a set, or on a library's global seed.",
+        "in this process and in a new one",
+        "Make sure that the run does not depend on earlier runs, on hash() or the order of a set, or on a library's "
+        "global seed.",
     )
 
 
@@ -205,19 +214,19 @@ def _other_seed(subject: Subject) -> None:
     probes = [subject.probe(), subject.probe()]
     for seed, probe in enumerate(probes):
         ended_ok(subject.run(probe, 500, seed), "on the bowl")
-    same = probes[0].digest == probes[1].digest
+    identical = probes[0].digest == probes[1].digest
     if subject.solver.info.stochastic:
         need(
-            not same,
-            "other points with another seed, info.stochastic being true",
+            not identical,
+            "different points with a different seed, because info.stochastic is true",
             "the same points",
-            "Draw from the generator handed to minimize, or declare SolverInfo(stochastic=False).",
+            "Draw random numbers from the generator passed to minimize, or declare SolverInfo(stochastic=False).",
         )
     else:
         need(
-            same,
-            "the same points whatever the seed, info.stochastic being false",
-            "other points",
+            identical,
+            "the same points with every seed, because info.stochastic is false",
+            "different points",
             "Declare SolverInfo(stochastic=True), or remove the randomness.",
         )
 
@@ -229,12 +238,13 @@ def _global_random_untouched(subject: Subject) -> None:
     before = _global_random()
     subject.run(subject.probe(), 500)
     after = _global_random()
-    for name, was, now in zip(("random", "np.random"), before, after, strict=True):
+    for name, old, new in zip(("random", "np.random"), before, after, strict=True):
         need(
-            pickle.dumps(was) == pickle.dumps(now),
-            f"the global state of {name} to be left alone",
-            "another state after the run",
-            "Draw from the generator handed to minimize; seed a library's own generator with int(rng.integers(2**31)).",
+            pickle.dumps(old) == pickle.dumps(new),
+            f"the global state of {name} to be unchanged",
+            "a different state after the run",
+            "Draw random numbers from the generator passed to minimize; seed a library's own generator with "
+            "int(rng.integers(2**31)).",
         )
 
 
@@ -254,25 +264,26 @@ def _inputs_unchanged(subject: Subject) -> None:
             raise
         except Exception as raised:
             error = explain(raised)
-    mend = "Copy an array before changing it; keep what changes during a run out of the solver's fields."
-    need(not error, "a run that reads the problem's arrays and changes none", error, mend)
+    remedy = "Copy an array before you change it, and do not store in the solver's fields what changes during a run."
+    need(not error, "a run that reads the problem's arrays but changes none of them", error, remedy)
     for name in ("lower", "upper"):
         for owner, bound in (("meter's", getattr(meter, name)), ("problem's", getattr(probe, name))):
-            kept = np.array_equal(bound, getattr(fresh, name))
-            need(kept, f"the {owner} {name} to stay as it was", str(bound), mend)
-    need(np.array_equal(probe.centre, fresh.centre), "the problem's data unchanged", str(probe.centre), mend)
-    need(repr(canonical(subject.solver)) == options, f"options {options}", repr(canonical(subject.solver)), mend)
+            unchanged = np.array_equal(bound, getattr(fresh, name))
+            need(unchanged, f"the {owner} {name} bounds to be unchanged", str(bound), remedy)
+    need(np.array_equal(probe.centre, fresh.centre), "the problem's data to be unchanged", str(probe.centre), remedy)
+    after = repr(canonical(subject.solver))
+    need(after == options, f"the options {options} to be unchanged", after, remedy)
 
 
 @_check
 def _nan_plateau(subject: Subject) -> None:
     outcome = subject.run(subject.probe(shape="plateau"), 500)
-    ended_ok(outcome, "where the problem is NaN (+inf for the solver) in 55 % of the box")
+    ended_ok(outcome, "on a problem that is NaN (the solver sees +inf) in 55 % of the box")
     need(
         np.isfinite(outcome.minimum.value),
         "a finite best value",
         repr(outcome.minimum.value),
-        "Survive +inf as a value: search on elsewhere.",
+        "Accept +inf as an objective value and continue the search elsewhere.",
     )
 
 
@@ -280,7 +291,12 @@ def _nan_plateau(subject: Subject) -> None:
 def _constant(subject: Subject) -> None:
     outcome = subject.run(subject.probe(shape="flat"), 500)
     ended_ok(outcome, "on a constant function")
-    need(outcome.minimum.value == 1.0, "the value 1", repr(outcome.minimum.value), "Return no value but the meter's.")
+    need(
+        outcome.minimum.value == 1.0,
+        "the best value to be 1",
+        repr(outcome.minimum.value),
+        "Evaluate the problem only through the meter, which keeps the best value.",
+    )
 
 
 @_check
@@ -306,46 +322,47 @@ def _any_box(subject: Subject) -> None:
     n = subject.dimension
     lower, width = np.resize([1e3, -5e5], n), np.resize([1e-3, 1e6], n)
     probe = Probe(lower, lower + width, gradient=subject.solver.info.needs_gradient)
-    _search(subject, probe, "in a box 1e-3 wide along one axis and 1e6 along the next")
+    _search(subject, probe, "in a box that is 1e-3 wide along one axis and 1e6 along the next")
 
 
 @_check
 def _quiet(subject: Subject) -> None:
     for shape in ("bowl", "plateau", "flat", "falling"):
         outcome = subject.run(subject.probe(shape=shape), 500)
-        leaked = outcome.warnings[0] if outcome.warnings else outcome.printed.strip()[:200]
+        output = outcome.warnings[0] if outcome.warnings else outcome.printed.strip()[:200]
         need(
-            not leaked,
+            not output,
             f"no warning and no output on the {shape} problem",
-            leaked,
-            "Turn the library's messages off, or its warnings with np.errstate or warnings.catch_warnings.",
+            output,
+            "Turn off the library's messages, and suppress its warnings with np.errstate or warnings.catch_warnings.",
         )
 
 
 @_check
 def _released(subject: Subject) -> None:
-    kept = []
+    references = []
     for _ in range(3):
         probe = subject.probe()
-        kept.append(weakref.ref(probe))
+        references.append(weakref.ref(probe))
         subject.run(probe, 500)
         del probe
     gc.collect()
-    alive = sum(reference() is not None for reference in kept)
+    alive = sum(reference() is not None for reference in references)
     need(
-        alive <= 1,  # the last one may stay, in a library's cache
-        "problems to be freed when their runs are over",
-        f"{alive} of {len(kept)} that something still holds, so that a long study fills the memory",
-        "Keep nothing on the solver or its module. A library's object may hide its reference to your function from the "
-        "garbage collector: delete it before minimize ends, also by BudgetExhausted.",
+        alive <= 1,  # a library's cache may keep the last one
+        "every problem to be freed after its run",
+        f"{alive} of {len(references)} problems still in memory, so that a long study would run out of memory",
+        "Do not store the problem on the solver or in its module. The garbage collector may not see a library object's "
+        "reference to your objective function: delete the object before minimize ends, also when BudgetExhausted ends "
+        "it.",
     )
 
 
 def _search(subject: Subject, probe: Probe, where: str) -> None:
-    """The bowl's minimum must be found to the precision that ``info`` promises."""
+    """Check that the solver finds the bowl's minimum with the precision that ``info`` promises."""
     info = subject.solver.info
     if not (info.global_search or info.converges):
-        raise Incompatible("info promises neither a global search nor convergence")
+        raise Incompatible("SolverInfo promises neither a global search nor convergence")
     precision = PRECISION[info.converges]
     budget = Budget(evaluations=SEARCH * probe.dimension, target=precision * probe.range)
     outcome = subject.run(probe, budget)
@@ -353,9 +370,10 @@ def _search(subject: Subject, probe: Probe, where: str) -> None:
     minimum = outcome.minimum
     need(
         minimum.value <= precision * probe.range,
-        f"the bowl's minimum {where} to {precision:g} of its range within {budget.evaluations} evaluations",
-        f"{minimum.value / probe.range:.2g} of its range after {minimum.evaluations}",
-        "Mend the search, measure steps and tolerances in widths of the box, or declare SolverInfo(converges=False).",
+        f"the minimum of the bowl {where} to within {precision:g} of its range in {budget.evaluations} evaluations",
+        f"{minimum.value / probe.range:.2g} of its range after {minimum.evaluations} evaluations",
+        "Fix the search, measure steps and tolerances relative to the width of the box, or declare "
+        "SolverInfo(converges=False).",
     )
 
 

@@ -1,4 +1,4 @@
-"""The problem that solvers are checked on: it counts, and remembers what it saw."""
+"""The problem on which solvers are checked; it counts its evaluations and records the evaluated points."""
 
 from __future__ import annotations
 
@@ -14,11 +14,21 @@ __all__ = ["Probe"]
 
 
 class Probe(Problem):
-    """A small test problem that counts its evaluations and remembers in a digest every point it saw.
+    """A small test problem that counts its evaluations and keeps a digest of all evaluated points.
 
-    With u = (x - lower)/(upper - lower) in [0, 1]: "bowl" is the mean of (u_j - centre_j)², its minimum 0 inside the
-    box; "plateau" the bowl, but NaN where u_1 > 0.45; "flat" is 1; "falling" and "rising" are the sum of u, falling or
-    rising, with their minimum in a corner. From evaluation ``stop_at`` on, ``stop`` is raised instead.
+    The shapes are defined in terms of u = (x - lower)/(upper - lower), which lies in [0, 1]ⁿ:
+
+    - "bowl" is the mean of (u_j - centre_j)², whose minimum 0 lies inside the box;
+    - "plateau" is the bowl, but NaN where u_1 > 0.45;
+    - "flat" is 1 everywhere;
+    - "rising" is the sum of u and "falling" its negative, so that the minimum lies in a corner.
+
+    lower: lower bounds, shape (n,).
+    upper: upper bounds, shape (n,).
+    shape: "bowl", "plateau", "flat", "falling" or "rising".
+    gradient: whether the problem offers its gradient.
+    stop: exception to raise, instead of returning values, from evaluation ``stop_at`` on; None: never.
+    stop_at: number of the evaluation, counted from 1, from which on ``stop`` is raised.
     """
 
     def __init__(
@@ -31,7 +41,7 @@ class Probe(Problem):
         stop_at: int = 0,
     ) -> None:
         self.lower, self.upper = np.array(lower, dtype=float), np.array(upper, dtype=float)
-        self.has_gradient = gradient  # type: ignore[misc]  # each probe decides for itself
+        self.has_gradient = gradient  # type: ignore[misc]  # set per instance
         self.centre = 0.3 + 0.4 * ((1.0 + np.arange(len(self.lower))) * 0.6180339887498949 % 1.0)
         self.shape = shape
         self.stop, self.stop_at = stop, stop_at
@@ -41,12 +51,12 @@ class Probe(Problem):
 
     @property
     def range(self) -> float:
-        """The bowl's largest value in the box; its smallest is 0."""
+        """The largest value of the bowl in the box; its smallest value is 0."""
         return float(np.mean(np.maximum(self.centre, 1.0 - self.centre) ** 2))
 
     @property
     def digest(self) -> str:
-        """A fingerprint of all points evaluated, in order."""
+        """A fingerprint of all evaluated points, in their order."""
         return self._seen.hexdigest()
 
     def evaluate(self, X: Float[ndarray, "p n"]) -> Float[ndarray, " p"]:

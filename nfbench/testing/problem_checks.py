@@ -1,4 +1,4 @@
-"""The checks of a problem: what it must do, and how to fix it where it does not."""
+"""The checks of a problem: what it must do, and how to fix it when it does not."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ from .subject import Failed, need
 __all__ = ["POINTS", "PROBLEM_CHECKS", "all_passed", "check_problem", "outcome", "problem_checks", "sample_points"]
 
 POINTS = 64
-SAME = 1e-9  # relative: rounding by which a point alone may differ from the same point in a batch
-SLOPE = 1e-4  # relative: of a gradient, against central differences
+SAME = 1e-9  # relative rounding difference allowed between a single point and the same point in a batch
+SLOPE = 1e-4  # relative difference allowed between the gradient and central differences
 
 
 def problem_checks(problem: Problem) -> Iterator[CheckResult]:
-    """Run the checks of one problem, yielding each result as it comes."""
+    """Run all checks of one problem and yield each result as soon as it is available."""
     for name, check in PROBLEM_CHECKS.items():
         yield outcome(name, check, problem)
 
 
 def check_problem(problem: Problem) -> None:
-    """Raise AssertionError, listing every failed check, unless the problem passes them all."""
+    """Raise AssertionError with a list of the failed checks unless the problem passes every check."""
     all_passed(type(problem).__name__, problem_checks(problem))
 
 
@@ -41,14 +41,14 @@ def _box(problem: Problem) -> None:
             isinstance(bound, ndarray) and bound.ndim == 1 and bound.size and np.isfinite(bound).all(),
             f"{name} to be a vector of finite numbers",
             repr(bound),
-            f"Set self.{name} = np.array([...], dtype=float) in __init__, one number an unknown.",
+            f"Set self.{name} = np.array([...], dtype=float) in __init__, with one number per unknown.",
         )
     lower, upper = problem.lower, problem.upper
     need(
         lower.shape == upper.shape and (lower < upper).all(),
-        "lower < upper, of one length",
-        f"{lower} and {upper}",
-        "Swap them, or take out an unknown that cannot vary.",
+        "lower < upper, both of the same length",
+        f"lower = {lower} and upper = {upper}",
+        "Swap the bounds, or remove an unknown that cannot vary.",
     )
 
 
@@ -57,46 +57,46 @@ def _values(problem: Problem) -> str:
     values = np.asarray(problem.evaluate(X.copy()))
     need(
         values.shape == (len(X),),
-        f"one value a row: shape ({len(X)},) for X of shape {X.shape}",
+        f"evaluate to return one value per row: shape ({len(X)},) for X of shape {X.shape}",
         f"shape {values.shape}",
         "Sum over the unknowns only, e.g. with axis=1.",
     )
     wrong = np.isnan(values) | (values == -math.inf)
     need(
         not wrong.any(),
-        "a number everywhere in the box, its edges and corners too",
+        "a number everywhere in the box, including its faces and corners",
         f"{values[wrong][0] if wrong.any() else ''} at x = {X[wrong][0].tolist() if wrong.any() else ''}",
-        "Guard the division, logarithm or root there, or shrink the box; +inf may mark what is not feasible.",
+        "Guard the division, logarithm or root at that point, or shrink the box; return +inf for infeasible points.",
     )
     finite = np.isfinite(values)
     need(
         finite.sum() > 1,
         "finite values in the box",
         f"{finite.sum()} of {len(X)}",
-        "Shrink the box to where the problem is defined.",
+        "Shrink the box to the region where the problem is defined.",
     )
     need(
         np.ptp(values[finite]) > 0.0,
-        "values that differ",
+        "values that differ between points",
         f"{values[finite][0]} at each of {finite.sum()} points",
-        "See whether evaluate uses X at all.",
+        "Check that evaluate uses X.",
     )
-    return "" if finite.all() else f"{(~finite).sum()} of {len(X)} points gave +inf"
+    return "" if finite.all() else f"the value is +inf at {(~finite).sum()} of {len(X)} points"
 
 
 def _batch(problem: Problem) -> None:
     X = sample_points(problem)
     values = np.asarray(problem.evaluate(X.copy()), dtype=float)
     for i in range(0, len(X), 7):
-        for how, alone in (
+        for call, single in (
             ("evaluate(X[i:i+1])[0]", problem.evaluate(X[i : i + 1])[0]),
             ("value(x)", problem.value(X[i])),
         ):
             need(
-                _close(float(alone), float(values[i]), SAME),
-                f"{how} to be the value of the same point in a batch, {values[i]!r}",
-                repr(float(alone)),
-                "Treat each row of X by itself: no sum, maximum or state across rows.",
+                _close(float(single), float(values[i]), SAME),
+                f"{call} to equal the value of the same point in a batch, {values[i]!r}",
+                repr(float(single)),
+                "Treat each row of X independently: use no sum, maximum or state across rows.",
             )
 
 
@@ -105,9 +105,9 @@ def _repeats(problem: Problem) -> None:
     first, second = (np.array(problem.evaluate(X.copy())) for _ in range(2))
     need(
         np.array_equal(first, second, equal_nan=True),
-        "the same values when asked again",
-        "others",
-        "Draw what is random once, when the instance is drawn, and change nothing in evaluate.",
+        "the same values when the same points are evaluated again",
+        "different values",
+        "Draw random quantities once, when the instance is drawn, and change no state in evaluate.",
     )
 
 
@@ -119,14 +119,15 @@ def _input_unchanged(problem: Problem) -> None:
         problem.evaluate(X)
     except ValueError as error:
         raise Failed(
-            f"expected X to be read only, got {explain(error)}. Copy before changing: X = X.copy(), or X = X * 2."
+            f"expected evaluate to leave X unchanged, got {explain(error)}. Copy X before you change it: X = X.copy(), "
+            "or X = X * 2."
         ) from error
-    need(np.array_equal(before, X), "X unchanged", "other numbers", "Copy before changing: X = X.copy().")
+    need(np.array_equal(before, X), "X to be unchanged", "other numbers", "Copy X before you change it: X = X.copy().")
 
 
 def _gradient(problem: Problem) -> str:
     if not problem.has_gradient:
-        return "no gradient: solvers that need one are skipped"
+        return "the problem has no gradient: solvers that need one are skipped"
     width = problem.upper - problem.lower
     rng = np.random.default_rng(3)
     for _ in range(8):
@@ -136,13 +137,13 @@ def _gradient(problem: Problem) -> str:
             np.shape(gradient) == width.shape,
             f"a gradient of shape {width.shape}",
             f"shape {np.shape(gradient)}",
-            "Return (value, gradient), the gradient with one number an unknown.",
+            "Return (value, gradient), where the gradient has one number per unknown.",
         )
         need(
             _close(float(value), float(problem.value(x)), SAME),
-            f"value_and_gradient to give the value {problem.value(x)!r}",
+            f"value_and_gradient to return the value {problem.value(x)!r}",
             repr(float(value)),
-            "Let both compute the same function.",
+            "Compute the same function in evaluate and value_and_gradient.",
         )
         h = 1e-6 * width
         steps = np.diag(h)
@@ -151,9 +152,9 @@ def _gradient(problem: Problem) -> str:
         scale = max(np.abs(difference * width).max(), 1e-3 * abs(float(value)), 1e-12)
         need(
             error <= SLOPE * scale,
-            f"the gradient {difference.tolist()} of central differences at x = {x.tolist()}",
+            f"the gradient to equal central differences, {difference.tolist()}, at x = {x.tolist()}",
             f"{np.asarray(gradient).tolist()}",
-            "Derive it anew; mind the sign, factors of 2 and the units of each unknown.",
+            "Derive the gradient again; check its sign, factors of 2 and the unit of each unknown.",
         )
     return ""
 
@@ -169,7 +170,7 @@ PROBLEM_CHECKS: dict[str, Callable[[Any], str | None]] = {
 
 
 def sample_points(problem: Problem) -> Float[ndarray, "p n"]:
-    """Random points of the box, with its centre, two corners and two points on its faces."""
+    """Return random points of the box, its centre, two corners and two points on its faces; shape (p, n)."""
     U = np.random.default_rng(5).random((POINTS, problem.dimension))
     U[0], U[1], U[2], U[3, 0], U[4, -1] = 0.0, 1.0, 0.5, 0.0, 1.0
     X = problem.lower + U * (problem.upper - problem.lower)
@@ -181,21 +182,21 @@ def _close(a: float, b: float, tolerance: float) -> bool:
 
 
 def outcome(name: str, check: Callable[[Any], str | None], subject: object) -> CheckResult:
-    """The result of one check; the global random states are restored."""
+    """Run one check and return its result; the global random states are restored."""
     states = random.getstate(), np.random.get_state()  # noqa: NPY002
     try:
         return CheckResult(name, True, check(subject) or "")
     except Failed as failure:
         return CheckResult(name, False, str(failure))
     except Exception as error:
-        return CheckResult(name, False, f"expected the check to run through, got {explain(error)}.")
+        return CheckResult(name, False, f"expected the check to run to its end, got {explain(error)}.")
     finally:
         random.setstate(states[0])
         np.random.set_state(states[1])  # noqa: NPY002
 
 
 def all_passed(name: str, results: Iterable[CheckResult]) -> None:
-    """Raise AssertionError, listing every failed check, unless all passed."""
+    """Raise AssertionError with a list of the failed checks unless all checks passed."""
     failed = [result for result in results if not result.passed]
     if failed:
         lines = (f"  {result.name}: {result.message}" for result in failed)

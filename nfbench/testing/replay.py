@@ -1,4 +1,4 @@
-"""The same run once more, here and in a fresh interpreter: it must be the same to the last bit."""
+"""Repeat a run in this process and in a new interpreter; both must agree to the last bit."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ Replay = tuple[str, list[ndarray]]
 
 
 def replay(subject: Subject, n: int) -> Replay:
-    """What a run must repeat: the digest of all its points, and its trace without the seconds."""
+    """Run the solver and return what must repeat: the digest of all points, and the trace without its times."""
     probe = subject.probe(n)
     outcome = subject.run(probe, 500, seed=7)
     ended_ok(outcome, "on the bowl")
@@ -36,18 +36,19 @@ def replay(subject: Subject, n: int) -> Replay:
     return probe.digest, [trace.evaluations, trace.values, trace.points]
 
 
-def same(first: Replay, second: Replay, where: str, mend: str) -> None:
+def same(first: Replay, second: Replay, where: str, remedy: str) -> None:
+    """Fail unless both replays are identical; ``where`` and ``remedy`` complete the message."""
     for name, a, b in zip(("evaluations", "values", "points"), first[1], second[1], strict=True):
         rows = min(len(a), len(b))
         differ = np.flatnonzero((a[:rows] != b[:rows]).reshape(rows, -1).any(axis=1))
         row = int(differ[0]) if len(differ) else rows
         need(
             not len(differ) and len(a) == len(b),
-            f"identical traces from one seed {where}",
+            f"identical traces with the same seed {where}",
             f"{name} that differ from row {row} on: {a[row : row + 1].tolist()} and {b[row : row + 1].tolist()}",
-            mend,
+            remedy,
         )
-    need(first[0] == second[0], f"identical points from one seed {where}", "points that differ", mend)
+    need(first[0] == second[0], f"identical points with the same seed {where}", "points that differ", remedy)
 
 
 _CHILD = """
@@ -62,13 +63,13 @@ serve(job, folder)
 
 
 def replay_elsewhere(subject: Subject) -> Replay:
-    """The same replay in a fresh interpreter, which finds the solver's class by its module or by its file."""
+    """Return the same replay from a new interpreter, which loads the solver's class by its module or its file."""
     cls = type(subject.solver)
     file = inspect.getsourcefile(cls) if "<locals>" not in cls.__qualname__ else None
     need(
         file is not None and Path(file).is_file(),
         "a solver class that another process can import",
-        f"{cls.__module__}.{cls.__qualname__}, defined in a function or in no file",
+        f"{cls.__module__}.{cls.__qualname__}, which is defined in a function or without a file",
         "Define the class at the top level of a file.",
     )
     options = {f.name: getattr(subject.solver, f.name) for f in dataclasses.fields(cls) if f.init}
@@ -86,16 +87,16 @@ def replay_elsewhere(subject: Subject) -> Replay:
         answer = Path(folder) / "answer"
         need(
             answer.is_file(),
-            "the run to repeat in a new process",
+            "the run to be repeated in a new process",
             done.stderr.strip().rpartition("\n")[2] or f"exit code {done.returncode}",
-            "Make the solver's file importable by itself, with all it needs imported in it.",
+            "Make the solver's file importable on its own: it must import everything that it needs.",
         )
-        again: Replay = pickle.loads(answer.read_bytes())
-    return again
+        repeated: Replay = pickle.loads(answer.read_bytes())
+    return repeated
 
 
 def serve(job: dict[str, Any], folder: str) -> None:
-    """The other end of :func:`replay_elsewhere`."""
+    """Run the replay that :func:`replay_elsewhere` requests, and write it to ``folder``; runs in the new process."""
     cls = _load(*job["class"])
     solver = cls(**pickle.loads(job["options"]))
     partial = Path(folder) / "partial"
@@ -104,7 +105,7 @@ def serve(job: dict[str, Any], folder: str) -> None:
 
 
 def _load(module: str, name: str, file: str) -> type[Solver]:
-    """A class by the name of its module or, where that is not to be found, from its file."""
+    """Return a class from its module or, if the module cannot be imported, from its file."""
     try:
         if module == "__main__":
             raise ImportError

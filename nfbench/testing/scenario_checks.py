@@ -1,4 +1,4 @@
-"""The checks of a scenario, of its instances, and of the problems that formulations make of them."""
+"""The checks of a scenario, of its instances, and of the problems that formulations build from them."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ __all__ = ["check_scenario", "scenario_check_names", "scenario_checks", "solved_
 
 @dataclasses.dataclass(frozen=True)
 class _Sampler(Solver):
-    """Some random points: enough for a formulation to go on with."""
+    """Evaluates a few random points, which is enough for a formulation to continue."""
 
     info = SolverInfo(batched=True, converges=False)
 
@@ -50,7 +50,7 @@ class _Sampler(Solver):
 
 @dataclasses.dataclass(frozen=True)
 class _Scene:
-    """The scenario under test and the formulations that solve it."""
+    """The scenario under test and the formulations that can solve it."""
 
     scenario: Scenario
     formulations: tuple[Formulation, ...]
@@ -59,7 +59,7 @@ class _Scene:
         return self.scenario.draw(np.random.default_rng(seed))
 
     def solve(self, formulation: Formulation, instance: Instance) -> tuple[ndarray, list[Problem]]:
-        """The formulation's estimate with a solver that only samples, and the problems it had solved."""
+        """Return the formulation's estimate with a solver that only samples, and the problems that it minimized."""
         problems: list[Problem] = []
 
         def sample(problem: Problem) -> Minimum:
@@ -69,7 +69,7 @@ class _Scene:
         return np.asarray(formulation.solve(instance, sample)), problems
 
     def problems(self, seed: int = 1) -> list[Problem]:
-        """Every problem that the formulations make of one instance."""
+        """Return every problem that the formulations build from one instance."""
         instance, found = self.draw(seed), []
         for formulation in self.formulations:
             try:
@@ -82,9 +82,10 @@ class _Scene:
 def scenario_checks(
     scenario: Scenario, formulations: Iterable[Formulation] = (), only: Iterable[str] | None = None
 ) -> Iterator[CheckResult]:
-    """Run the checks (those named in ``only``, or all) on a scenario and on the problems that formulations make of it.
+    """Run the checks named in ``only`` (default: all) on a scenario and on the problems that its formulations build.
 
-    The global random states of NumPy and Python are left as they were found.
+    Each result is yielded as soon as it is available. The global random states of NumPy and Python are restored after
+    each check.
     """
     scene = _Scene(scenario, tuple(formulations))
     scenario.warm_up()
@@ -94,22 +95,22 @@ def scenario_checks(
 
 
 def check_scenario(scenario: Scenario, formulations: Iterable[Formulation]) -> None:
-    """Raise AssertionError, listing every failed check, unless scenario and problems pass them all."""
+    """Raise AssertionError with a list of the failed checks unless the scenario and its problems pass every check."""
     all_passed(type(scenario).__name__, scenario_checks(scenario, formulations))
 
 
 def scenario_check_names() -> list[str]:
-    """The names of all checks of a scenario, in the order they run."""
+    """Return the names of all checks of a scenario, in the order in which they run."""
     return [*_SCENARIO, *PROBLEM_CHECKS]
 
 
 def solved_by(registry: Registry, scenario: Scenario) -> list[Formulation]:
-    """The registered formulations, with default options, that accept what the scenario draws."""
+    """Return the registered formulations, with default options, that accept the instances of the scenario."""
     found = []
     for name in registry.names("formulation"):
         try:
             made = registry.make("formulation", name, {})
-        except (PluginError, ValueError):  # fails to import, or has an option without default
+        except (PluginError, ValueError):  # it cannot be imported, or has an option without a default
             continue
         if isinstance(made, Formulation) and issubclass(scenario.instance, made.accepts):
             found.append(made)
@@ -123,8 +124,8 @@ def _described(scene: _Scene) -> None:
     need(
         doc and not doc.startswith(f"{cls.__name__}(") and not missing,
         "a docstring that explains every option",
-        f"nothing on {', '.join(missing)}" if missing else "no docstring",
-        "Name each option in the class docstring with its meaning and unit.",
+        f"no entry for {', '.join(missing)}" if missing else "no docstring",
+        "Describe each option in the class docstring as `name: meaning and unit`.",
     )
     need(
         inspect.isclass(getattr(cls, "instance", None)) and issubclass(cls.instance, Instance),
@@ -136,19 +137,19 @@ def _described(scene: _Scene) -> None:
 
 def _options(scene: _Scene) -> None:
     plain = canonical(scene.scenario)
-    mend = "Let every option be a number, a text, a truth value, a list or a table of these."
+    remedy = "Use only numbers, strings, booleans, and lists and tables of these as options."
     try:
         text = json.dumps(plain)
     except (TypeError, ValueError) as error:
-        raise Failed(f"expected options that can be written as JSON, got {explain(error)}. {mend}") from error
+        raise Failed(f"expected options that can be written as JSON, got {explain(error)}. {remedy}") from error
     options = {key: value for key, value in json.loads(text).items() if key != "kind"}
-    again = build(type(scene.scenario), options)
-    need(again == scene.scenario, f"the same scenario from its options {text}", repr(again), mend)
+    rebuilt = build(type(scene.scenario), options)
+    need(rebuilt == scene.scenario, f"the same scenario when built from its options {text}", repr(rebuilt), remedy)
     need(
         pickle.loads(pickle.dumps(scene.scenario)) == scene.scenario,
-        "the same scenario after pickling",
-        "another",
-        mend,
+        "the same scenario after pickling and unpickling",
+        "a different one",
+        remedy,
     )
 
 
@@ -156,43 +157,44 @@ def _draw(scene: _Scene) -> None:
     instance = scene.draw()
     need(
         isinstance(instance, scene.scenario.instance),
-        f"draw to return a {scene.scenario.instance.__name__}, as `instance` says",
+        f"draw to return a {scene.scenario.instance.__name__}, as declared by `instance`",
         f"a {type(instance).__name__}",
-        "Let `instance` name the class that draw returns.",
+        "Set `instance` to the class that draw returns.",
     )
 
 
 def _formulations(scene: _Scene) -> str:
-    solvable = [type(formulation).__name__ for formulation in scene.formulations]
+    names = [type(formulation).__name__ for formulation in scene.formulations]
     need(
-        solvable,
+        names,
         f"a formulation that accepts a {scene.scenario.instance.__name__}",
         "none",
-        "Derive the instance from nfbench.ProblemInstance, which `direct` solves, or write a Formulation for it.",
+        "Derive the instance from nfbench.ProblemInstance, which the formulation `direct` solves, or write a "
+        "Formulation for it.",
     )
-    return f"solved by {', '.join(solvable)}"
+    return f"solved by {', '.join(names)}"
 
 
 def _same_seed(scene: _Scene) -> None:
-    seen = []
-    for disturbance in (1, 2):  # what the global generators hold must not matter
-        random.seed(disturbance)
-        np.random.seed(disturbance)  # noqa: NPY002
-        seen.append(_fingerprint(scene, 1))
+    fingerprints = []
+    for global_seed in (1, 2):  # the state of the global generators must not matter
+        random.seed(global_seed)
+        np.random.seed(global_seed)  # noqa: NPY002
+        fingerprints.append(_fingerprint(scene, 1))
     need(
-        all(np.array_equal(a, b, equal_nan=True) for a, b in zip(*seen, strict=True)),
+        all(np.array_equal(a, b, equal_nan=True) for a, b in zip(*fingerprints, strict=True)),
         "the same problems from the same seed",
         "values that differ",
-        "Draw from the generator handed to draw alone, and from no state of the class or the module.",
+        "Draw random numbers only from the generator passed to draw, and use no state of the class or the module.",
     )
 
 
 def _other_seed(scene: _Scene) -> str:
     first, second = _fingerprint(scene, 1), _fingerprint(scene, 2)
-    same = len(first) == len(second) and all(
+    identical = len(first) == len(second) and all(
         np.array_equal(a, b, equal_nan=True) for a, b in zip(first, second, strict=True)
     )
-    return "another seed draws the same instance: all repetitions will be alike" if first and same else ""
+    return "a different seed draws the same instance, so all scenes will be identical" if first and identical else ""
 
 
 def _global_random_untouched(scene: _Scene) -> None:
@@ -202,9 +204,9 @@ def _global_random_untouched(scene: _Scene) -> None:
     scene.draw()
     need(
         before == pickle.dumps((random.getstate(), np.random.get_state())),  # noqa: NPY002
-        "the global random state to be left alone",
-        "another state after draw",
-        "Draw from the generator handed to draw: rng.normal() in place of np.random.normal().",
+        "the global random state to be unchanged",
+        "a different state after draw",
+        "Draw random numbers from the generator passed to draw: rng.normal() instead of np.random.normal().",
     )
 
 
@@ -220,30 +222,30 @@ def _score(scene: _Scene) -> str:
         name = type(formulation).__name__
         need(
             isinstance(scores, dict) and error in scores,
-            f"score to return a dict with {error!r}, by which methods are ranked",
+            f"score to return a dict that contains {error!r}, by which methods are ranked",
             repr(scores),
-            "Add it to the dict, or let the scenario's `error` name the score that is there.",
+            "Add this score to the dict, or set the scenario's `error` to the name of an existing score.",
         )
         need(
             all(isinstance(key, str) and np.ndim(value) == 0 for key, value in scores.items()),
-            "scores that are single numbers by column name",
+            "every score to be a single number under its column name",
             repr(scores),
-            "Convert each with float().",
+            "Convert each score with float().",
         )
         need(
             not estimate.size or float(scores[error]) >= 0.0,
-            f"{error} of the estimate of {name} to be a number of at least 0",
+            f"{error} of the estimate of {name} to be a number >= 0",
             repr(scores[error]),
-            "Let it be an error: 0 at the truth, larger the farther off.",
+            "Return an error that is 0 at the truth and grows with the distance from it.",
         )
         scored.append(name)
     try:
         instance.score(np.zeros((3, 1, 4, 1, 5)))
     except ValueError:
-        return f"of the estimates of {', '.join(scored)}" if scored else ""
+        return f"checked with the estimates of {', '.join(scored)}" if scored else ""
     raise Failed(
-        "expected a ValueError for an estimate of a wrong shape, got scores. Raise ValueError with the shape expected "
-        "and the shape that came."
+        "expected score to raise ValueError for an estimate of the wrong shape, got scores. Raise ValueError with the "
+        "expected shape and the actual shape."
     )
 
 
@@ -251,13 +253,13 @@ def _truth(scene: _Scene) -> str:
     instance, error = scene.draw(), scene.scenario.error
     truth = instance.truth()
     if truth is None:
-        return "the instance tells no truth(): nothing checked"
-    scored = float(instance.score(np.asarray(truth))[error])
+        return "not checked: the instance has no known truth"
+    score = float(instance.score(np.asarray(truth))[error])
     need(
-        abs(scored) <= 1e-9,
+        abs(score) <= 1e-9,
         f"{error} of the truth to be 0",
-        repr(scored),
-        "Let score and truth use the same units and order.",
+        repr(score),
+        "Use the same units and the same order in score and truth.",
     )
     return ""
 
@@ -289,5 +291,5 @@ def _each_problem(check: Callable[[Problem], str | None]) -> Callable[[_Scene], 
 
 
 def _fingerprint(scene: _Scene, seed: int) -> list[ndarray]:
-    """The values of every problem at the same points."""
+    """Return the values of every problem at fixed points."""
     return [np.asarray(problem.evaluate(sample_points(problem))) for problem in scene.problems(seed)]

@@ -1,4 +1,4 @@
-"""Checks in a process of their own, so that a plugin that hangs or crashes costs one check and not the rest."""
+"""Checks in a separate process, so that a plugin that hangs or crashes fails one check and not the others."""
 
 from __future__ import annotations
 
@@ -21,12 +21,18 @@ from .scenario_checks import scenario_check_names, scenario_checks, solved_by
 
 __all__ = ["Job", "check_jobs", "watched_checks"]
 
-START_S = 120.0  # for the process to import the plugin, beside what the first check may take
+START_S = 120.0  # time limit [s] for the process to import the plugin, in addition to that of the first check
 
 
 @dataclass(frozen=True)
 class Job:
-    """What to check: a solver or scenario by its name, the plugin files that know it, and its options."""
+    """A plugin to check.
+
+    kind: "solver" or "scenario".
+    name: registered name of the plugin.
+    files: plugin files to load.
+    options: options of the plugin, by name.
+    """
 
     kind: str
     name: str
@@ -37,20 +43,22 @@ class Job:
 def check_jobs(
     kind: str, name: str, plugins: Iterable[Path] = (), options: Mapping[str, Any] | None = None
 ) -> Iterator[Job]:
-    """What to check: the plugin of that name, all in that file or, of kind "scenario", the first of that manifest.
+    """Yield what to check.
 
-    Raises PluginError where there is none or it cannot be imported, OptionError where the options do not make it.
+    ``name`` is the name of a plugin, a plugin file (all plugins of that kind in it are checked) or, for the kind
+    "scenario", a manifest (its first scenario is checked). Raises PluginError if there is no such plugin or it cannot
+    be imported, and OptionError if the options are invalid.
     """
     options = dict(options or {})
     if name.endswith(".toml"):
         study = load_study(name, plugins)
-        chosen = study.points[0].scenario
-        yield Job(kind, chosen.kind, study.plugins, {**chosen.options, **options})
+        scenario = study.points[0].scenario
+        yield Job(kind, scenario.kind, study.plugins, {**scenario.options, **options})
         return
     is_file = name.endswith(".py") or Path(name).is_file()
     registry = Registry([*plugins, name] if is_file else plugins)
-    for file, why in registry.broken.items():
-        raise PluginError(f"plugin {file.name} failed to import: {why}")
+    for file, reason in registry.broken.items():
+        raise PluginError(f"plugin {file.name} failed to import: {reason}")
     names = [name]
     if is_file:
         names = [n for n in registry.names(kind) if registry.find(kind, n).origin == Path(name).name]
@@ -62,30 +70,30 @@ def check_jobs(
 
 
 def watched_checks(job: Job, timeout_s: float) -> Iterator[CheckResult]:
-    """The checks of a solver or scenario; one that takes more than ``timeout_s`` is stopped and has failed.
+    """Run the checks of a solver or scenario; a check that takes longer than ``timeout_s`` [s] is stopped and fails.
 
-    Raises NfbenchError where the process cannot make the plugin.
+    Raises NfbenchError if the process cannot construct the plugin.
     """
-    left = check_names() if job.kind == "solver" else scenario_check_names()
-    while left:
-        for result in _in_process(job, left, timeout_s):
-            left = left[1:]
+    remaining = check_names() if job.kind == "solver" else scenario_check_names()
+    while remaining:
+        for result in _in_process(job, remaining, timeout_s):
+            remaining = remaining[1:]
             yield result
 
 
 def _in_process(job: Job, checks: list[str], timeout_s: float) -> Iterator[CheckResult]:
-    """The results of one process: of all the checks, or up to the one that stopped it."""
+    """Yield the results of one process: those of all checks, or those up to the check that ended the process."""
     spawn = get_context("spawn")
     ours, theirs = spawn.Pipe(duplex=False)
     process = spawn.Process(target=_serve, args=(theirs, job, checks), daemon=True)
     process.start()
     theirs.close()
     try:
-        error = _heard(ours, process, START_S)
+        error = _receive(ours, process, START_S)
         if error:
-            raise NfbenchError(f"{job.kind} {job.name} cannot be made in a process of its own: {error}")
+            raise NfbenchError(f"{job.kind} {job.name} cannot be constructed in a separate process: {error}")
         for check in checks:
-            result = _heard(ours, process, timeout_s)
+            result = _receive(ours, process, timeout_s)
             if not isinstance(result, CheckResult):
                 yield CheckResult(check, False, result)
                 return
@@ -94,27 +102,27 @@ def _in_process(job: Job, checks: list[str], timeout_s: float) -> Iterator[Check
         _kill(process)
 
 
-def _heard(pipe: Connection, process: BaseProcess, seconds: float) -> Any:
-    """What the process says next or, as text, why it says nothing."""
+def _receive(pipe: Connection, process: BaseProcess, seconds: float) -> Any:
+    """Return the next object that the process sends or, as text, the reason why it sends none."""
     if not pipe.poll(seconds):
-        return f"expected an end within {seconds:g} s, got none. {_MEND_HANG}"
+        return f"expected the check to end within {seconds:g} s, got no result. {_FIX_HANG}"
     try:
         return pipe.recv()
     except EOFError:
         process.join()
-        return f"expected its process to survive, got its end by {_cause(process)}. {_MEND_CRASH}"
+        return f"expected the process of the check to stay alive, got its end by {_cause(process)}. {_FIX_CRASH}"
 
 
 def _serve(pipe: Connection, job: Job, checks: list[str]) -> None:
-    os.setsid()  # so that what a check starts dies with this process
+    os.setsid()  # so that processes started by a check are killed together with this one
     try:
         registry = Registry(job.files)
-        made = registry.make(job.kind, job.name, job.options)
-        if isinstance(made, Solver):
-            results = solver_checks(made, checks)
+        plugin = registry.make(job.kind, job.name, job.options)
+        if isinstance(plugin, Solver):
+            results = solver_checks(plugin, checks)
         else:
-            assert isinstance(made, Scenario)
-            results = scenario_checks(made, solved_by(registry, made), checks)
+            assert isinstance(plugin, Scenario)
+            results = scenario_checks(plugin, solved_by(registry, plugin), checks)
     except Exception as error:
         pipe.send(explain(error))
         return
@@ -127,7 +135,7 @@ def _kill(process: BaseProcess) -> None:
     if process.is_alive() and process.pid is not None:
         try:
             os.killpg(process.pid, signal.SIGKILL)
-        except ProcessLookupError:  # it has no group of its own yet
+        except ProcessLookupError:  # the process has not created its own group yet
             process.kill()
     process.join()
 
@@ -137,11 +145,11 @@ def _cause(process: BaseProcess) -> str:
     return f"signal {-code} ({signal.Signals(-code).name})" if code < 0 else f"exit code {code}"
 
 
-_MEND_HANG = (
-    "Ask problem.evaluate or problem(x) in every turn of a loop, as only that can end it; a check that is merely slow "
-    "gets more time by --timeout."
+_FIX_HANG = (
+    "Call problem.evaluate or problem(x) in every iteration of a loop, because only these calls can end the run; if "
+    "the check is merely slow, give it more time with --timeout."
 )
-_MEND_CRASH = (
-    "If it calls no exit, something below Python failed: run nfbench.minimize(problem, solver, budget) under "
-    "`python -X faulthandler`."
+_FIX_CRASH = (
+    "Remove any call of exit; if there is none, native code crashed: run nfbench.minimize(problem, solver, budget) "
+    "under `python -X faulthandler` to find out where."
 )

@@ -1,1 +1,1 @@
-"""Near-field source localization: what is measured, and how sources are estimated from it."""
+"""Near-field source localization: the measured data, and estimators of the sources."""

@@ -1,4 +1,4 @@
-"""Antenna arrays: element positions relative to a stated origin, in metres."""
+"""Antenna arrays: positions of the elements relative to an explicitly chosen origin, in metres."""
 
 from __future__ import annotations
 
@@ -17,24 +17,26 @@ from nfbench import FilePath, Ge, Gt, Lt, Options
 __all__ = ["UCA", "ULA", "UPA", "Array", "Custom", "Origin"]
 
 Origin: TypeAlias = Literal["first", "center"]
-"""What range and angles are measured from: the first element (the paper) or the centroid of all."""
+"""The point from which range and angles are measured: the first element (as in the paper) or the centroid of all."""
 
 _Positive: TypeAlias = Annotated[float, Gt(0.0), Lt(math.inf)]
 
 
 class Array(ABC):
-    """An array of M >= 2 elements, no two at the same place; its kinds are Options."""
+    """An array of M >= 2 elements at distinct positions; subclasses are Options."""
 
     @abstractmethod
     def place(self, wavelength_m: float) -> Float[ndarray, "m 3"]:
-        """The element positions (M, 3) relative to the origin, for a wavelength, both in metres."""
+        """Return the element positions [m] relative to the origin, shape (M, 3), for a wavelength [m]."""
 
 
 @dataclass(frozen=True)
 class ULA(Options, Array):
-    """A uniform linear array along y.
+    """A uniform linear array along the y axis.
 
-    elements: their number M. spacing_wavelengths: between neighbours [λ]. origin: "first" or "center".
+    elements: number M of elements.
+    spacing_wavelengths: distance between neighbouring elements, in wavelengths.
+    origin: point from which range and angles are measured: "first" (first element) or "center" (centre of the array).
     """
 
     kind: ClassVar[str] = "ula"
@@ -50,10 +52,15 @@ class ULA(Options, Array):
 
 @dataclass(frozen=True)
 class UPA(Options, Array):
-    """A uniform planar array in the y-z plane; elements run along y first, from the corner of least y and z.
+    """A uniform planar array in the y-z plane.
 
-    columns, rows: elements along y and along z. spacing_wavelengths: between neighbours, in both directions [λ].
-    origin: "first" (that corner) or "center".
+    The elements are numbered along y first, starting at the corner with the smallest y and z.
+
+    columns: number of elements along y.
+    rows: number of elements along z.
+    spacing_wavelengths: distance between neighbouring elements in both directions, in wavelengths.
+    origin: point from which range and angles are measured: "first" (first element, the corner) or "center" (centre of
+        the array).
     """
 
     kind: ClassVar[str] = "upa"
@@ -74,11 +81,14 @@ class UPA(Options, Array):
 
 @dataclass(frozen=True)
 class UCA(Options, Array):
-    """A uniform circular array in the x-y plane, the first element on the x axis, the others counter-clockwise.
+    """A uniform circular array in the x-y plane.
 
-    It sees every azimuth alike, but cannot tell an elevation from its negative.
+    The first element lies in the direction of the x axis, and the others follow counter-clockwise. The array has the
+    same resolution at every azimuth, but cannot distinguish an elevation from its negative.
 
-    elements: their number M. radius_wavelengths: of the circle [λ]. origin: "center" (of the circle) or "first".
+    elements: number M of elements.
+    radius_wavelengths: radius of the circle, in wavelengths.
+    origin: point from which range and angles are measured: "center" (centre of the circle) or "first" (first element).
     """
 
     kind: ClassVar[str] = "uca"
@@ -87,17 +97,22 @@ class UCA(Options, Array):
     origin: Origin
 
     def place(self, wavelength_m: float) -> Float[ndarray, "m 3"]:
-        turn = 2 * math.pi * np.arange(self.elements) / self.elements
-        Q = np.stack([np.cos(turn), np.sin(turn), np.zeros(len(turn))], axis=1)
+        angle = 2 * math.pi * np.arange(self.elements) / self.elements
+        Q = np.stack([np.cos(angle), np.sin(angle), np.zeros(len(angle))], axis=1)
         return _relative(Q * (self.radius_wavelengths * wavelength_m), self.origin)
 
 
 @dataclass(frozen=True)
 class Custom(Options, Array):
-    """Any array, by the positions of its elements.
+    """An array with arbitrary element positions, given either by ``positions`` or by ``file``.
 
-    origin: "first" or "center". positions: (M, 3) [m], or file: a .npy or .csv that holds them, one element a row.
-    The positions are what the options keep, so that a changed file is a different array.
+    The positions are read from the file when the options are checked, and stored as ``positions``. An array from a file
+    whose contents have changed is therefore a different array.
+
+    origin: point from which range and angles are measured: "first" (first element) or "center" (centroid of all
+        elements).
+    positions: list of positions [x, y, z] of the elements [m]; None: they are read from ``file``.
+    file: path of a .npy or .csv file with one row x, y, z [m] per element; None: ``positions`` is used.
     """
 
     kind: ClassVar[str] = "custom"
@@ -107,7 +122,7 @@ class Custom(Options, Array):
 
     def validate(self) -> None:
         if (self.positions is None) == (self.file is None):
-            raise ValueError(f"expected either positions or a file, got {'neither' if self.file is None else 'both'}")
+            raise ValueError(f"expected either positions or file, got {'neither' if self.file is None else 'both'}")
         source = "positions" if self.file is None else f"file {Path(self.file).name}"
         Q = np.array(self.positions) if self.file is None else _load(Path(self.file))
         if Q.ndim != 2 or Q.shape[1] != 3 or len(Q) < 2:
@@ -116,7 +131,7 @@ class Custom(Options, Array):
             row = int(np.flatnonzero(~np.isfinite(Q).all(axis=1))[0])
             raise ValueError(f"{source}: expected finite positions, got {Q[row].tolist()} in row {row}")
         if len(np.unique(Q, axis=0)) < len(Q):
-            raise ValueError(f"{source}: expected distinct positions, got {len(Q)} of which some are equal")
+            raise ValueError(f"{source}: expected distinct positions, got {len(Q)} positions, some of which are equal")
         object.__setattr__(self, "positions", tuple(tuple(row) for row in Q.tolist()))
         object.__setattr__(self, "file", None)
 
@@ -130,13 +145,13 @@ def _relative(Q: Float[ndarray, "m 3"], origin: Origin) -> Float[ndarray, "m 3"]
 
 
 def _load(path: Path) -> ndarray:
-    """The numbers in a .npy or .csv; raises ValueError where there are none."""
+    """Read the numbers from a .npy or .csv file; raises ValueError if it does not contain a table of numbers."""
     if path.suffix not in (".npy", ".csv"):
-        raise ValueError(f"file: expected a .npy or .csv, got {path.name}")
+        raise ValueError(f"file: expected a .npy or .csv file, got {path.name}")
     try:
         if path.suffix == ".npy":
             return np.asarray(np.load(path, allow_pickle=False), dtype=np.float64)
         lines = [line for line in path.read_text(encoding="utf-8-sig").splitlines() if line.strip()]
         return np.array([[float(cell) for cell in line.split(",")] for line in lines])
     except (ValueError, TypeError, EOFError) as error:
-        raise ValueError(f"file {path.name}: expected rows of three numbers: {error}") from error
+        raise ValueError(f"file {path.name}: expected rows of three numbers, but reading it failed: {error}") from error

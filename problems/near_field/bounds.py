@@ -1,8 +1,9 @@
-"""Cramér–Rao bounds: the least error that an unbiased estimator of the sources can have.
+"""Cramér–Rao bounds: the smallest error that an unbiased estimator of the sources can have.
 
-Both are C = (σ²/2T)·{Re[(DᴴΠ⊥D) ⊙ Xᵀ]}⁻¹ with σ² = 1, D the derivatives of the responses, Π⊥ = I − A(AᴴA)⁻¹Aᴴ, and
-element (k, l) of the K×K matrix X at each pair of parameters of sources k and l. They hold for data Y = A·S + N, pure
-line of sight, with the number of sources known, and know nothing of a box that estimates are searched in.
+Both bounds are C = (σ²/2T)·{Re[(DᴴΠ⊥D) ⊙ Xᵀ]}⁻¹ with σ² = 1, where D contains the derivatives of the responses,
+Π⊥ = I − A(AᴴA)⁻¹Aᴴ, and element (k, l) of the K×K matrix X is used for every pair of parameters of sources k and l.
+They hold for data Y = A·S + N in pure line of sight with a known number of sources, and do not take into account the
+box in which estimates are searched.
 """
 
 from __future__ import annotations
@@ -19,25 +20,30 @@ from .wavefronts import Manifold
 __all__ = ["deterministic_bound", "information_root", "position_bounds", "stochastic_bound"]
 
 CERTAIN = 100
-"""How many times its rounding error the rest of a projected derivative must be, or the bound is infinite.
+"""Factor by which the remainder of a projected derivative must exceed its rounding error; otherwise the bound is inf.
 
-So sources count as coincident once their bound would be off by more than about 1 %, when it has long exceeded any
-range: at the paper's size, some 1e-7 rad apart."""
+Sources are therefore treated as coincident if the rounding error of their bound would exceed about 1 %. At the size of
+the paper's array they are then about 1e-7 rad apart, and the bound is far larger than any range."""
 
 
 def stochastic_bound(
     manifold: Manifold, theta: Float[ndarray, "k d"], snr: Float[ndarray, " k"], snapshots: int
 ) -> Float[ndarray, "kd kd"]:
-    """The bound on the covariance of θ̂, in the order of ``theta.ravel()`` [rad, m], for random symbols.
+    """Return the bound on the covariance of θ̂, in the order of ``theta.ravel()`` [rad, m], for random symbols.
 
-    Symbols are circular Gaussian and uncorrelated, of power ``snr`` over the noise, but neither this nor the power of
-    the noise is known to the estimator: X = PAᴴR⁻¹AP with R = APAᴴ + I, P = diag(snr) (Stoica & Nehorai 1990,
-    doi:10.1109/29.60109; derived directly by Stoica, Larsson & Gershman 2001). All is inf where
-    the sources cannot be told from the data, as where two coincide, or the range in a planar wavefront.
+    The symbols are circular Gaussian and uncorrelated; the estimator knows neither their covariance nor the power of
+    the noise. X = PAᴴR⁻¹AP with R = APAᴴ + I and P = diag(snr) (Stoica & Nehorai 1990, doi:10.1109/29.60109; direct
+    derivation by Stoica, Larsson & Gershman 2001). All elements are inf if the data do not determine the sources, for
+    example if two sources coincide, or if the wavefront is planar, so that the range is undetermined.
+
+    manifold: array and wavefront model.
+    theta: sources [rad, m], shape (K, d).
+    snr: signal-to-noise power ratio per source at each antenna, shape (K,).
+    snapshots: number T of snapshots.
     """
     amplitude = np.sqrt(snr)
     _, s, Vh = np.linalg.svd(manifold.response(theta).T * amplitude, full_matrices=False)
-    # with AP½ = U·s·Vᴴ: X = P½V·s²/(1 + s²)·VᴴP½, the square of this factor, which subtracts nothing
+    # with AP½ = U·s·Vᴴ, X = P½V·s²/(1 + s²)·VᴴP½ = factor·factorᴴ; this form avoids cancellation
     factor = amplitude[:, None] * Vh.conj().T * (s / np.sqrt(1 + s * s))
     return _covariance(manifold, theta, factor, snapshots)
 
@@ -45,19 +51,27 @@ def stochastic_bound(
 def deterministic_bound(
     manifold: Manifold, theta: Float[ndarray, "k d"], symbols: Complex[ndarray, "k t"]
 ) -> Float[ndarray, "kd kd"]:
-    """The bound on the covariance of θ̂, in the order of ``theta.ravel()`` [rad, m], for these symbols, unknown.
+    """Return the bound on the covariance of θ̂, in the order of ``theta.ravel()`` [rad, m], for given symbols.
 
-    symbols: S with its amplitudes, √snr_k times a unit-variance symbol: X = SSᴴ/T (Stoica & Nehorai 1989,
-    doi:10.1109/29.17564). All is inf where the sources cannot be told from the data.
+    The estimator does not know the symbols. X = SSᴴ/T (Stoica & Nehorai 1989, doi:10.1109/29.17564). All elements are
+    inf if the data do not determine the sources.
+
+    manifold: array and wavefront model.
+    theta: sources [rad, m], shape (K, d).
+    symbols: symbols S including their amplitudes, √snr_k times a symbol of unit variance, shape (K, T).
     """
     T = symbols.shape[1]
     return _covariance(manifold, theta, np.linalg.qr(symbols.conj().T).R.conj().T / math.sqrt(T), T)
 
 
 def position_bounds(covariance: Float[ndarray, "kd kd"], theta: Float[ndarray, "k d"]) -> Float[ndarray, " k"]:
-    """√(r²cos²ψ·C_φφ + r²·C_ψψ + C_rr) [m] of each source: the bound on its Cartesian root mean square error."""
+    """Return the bound √(r²cos²ψ·C_φφ + r²·C_ψψ + C_rr) [m] on the Cartesian RMS error of each source.
+
+    covariance: bound on the covariance of θ̂ [rad, m], shape (Kd, Kd).
+    theta: sources [rad, m], shape (K, d).
+    """
     variance = np.diag(covariance).reshape(theta.shape)
-    metres = np.ones_like(theta)  # per unit of each parameter
+    metres = np.ones_like(theta)  # metres per unit of each parameter
     metres[:, :-1] = theta[:, -1:]
     if theta.shape[1] == 3:
         metres[:, 0] *= np.cos(theta[:, 1])
@@ -68,16 +82,16 @@ def position_bounds(covariance: Float[ndarray, "kd kd"], theta: Float[ndarray, "
 def information_root(
     manifold: Manifold, theta: Float[ndarray, "k d"], factor: Complex[ndarray, "k c"]
 ) -> tuple[Float[ndarray, "rows kd"], Float[ndarray, " kd"]]:
-    """J with JᵀJ = Re[(DᴴΠ⊥D) ⊙ Xᵀ] for X = ``factor``·``factor``ᴴ, and the rounding errors of its columns.
+    """Return J with JᵀJ = Re[(DᴴΠ⊥D) ⊙ Xᵀ] for X = ``factor``·``factor``ᴴ, and the rounding errors of its columns.
 
-    Π⊥ is never formed and nothing is squared: in [A D] = QR, the lower right block of R is a factor of DᴴΠ⊥D. The
-    errors grow as the least pivot of A shrinks, as two sources approach.
+    Neither Π⊥ nor a product DᴴΠ⊥D is formed: with [A D] = QR, the lower right block of R is a factor of DᴴΠ⊥D. The
+    errors grow as the smallest pivot of A decreases, which happens when two sources approach each other.
     """
     K, d = theta.shape
     a, derivatives = manifold.response_and_derivatives(theta)
     D = derivatives.reshape(K * d, -1).T
     R = np.linalg.qr(np.hstack([a.T, D])).R
-    per_parameter = np.repeat(factor, d, axis=0)  # X_kl at each pair of parameters of sources k and l
+    per_parameter = np.repeat(factor, d, axis=0)  # X_kl for every pair of parameters of sources k and l
     J = (R[K:, K:] * per_parameter.T[:, None]).reshape(-1, K * d)
     pivots = np.abs(np.diag(R)[:K])
     with np.errstate(divide="ignore"):

@@ -1,4 +1,4 @@
-"""Rician fading: a line of sight with scattered waves around it."""
+"""Rician fading: the line of sight plus scattered waves."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ _Metres: TypeAlias = Annotated[float, Ge(0.0), Lt(math.inf)]
 
 
 class NLoS(ABC):
-    """How the scattered part g of a channel is distributed; its kinds are Options.
+    """The distribution of the scattered part g of a channel; subclasses are Options.
 
-    A scene's geometry is drawn once; given it, every g_k is circular complex Gaussian of covariance
-    F_kᵀ·F_k*, of trace M.
+    The geometry of the scatterers is drawn once per scene. Given the geometry, every g_k is circular complex Gaussian
+    with the covariance F_kᵀ·F_k*, whose trace is M.
     """
 
     @abstractmethod
@@ -37,9 +37,15 @@ class NLoS(ABC):
         lower: Float[ndarray, " d"],
         upper: Float[ndarray, " d"],
     ) -> Complex[ndarray, "k s m"] | None:
-        """Draw the geometry: F_k, one wave a row; g_k is their sum with gains z ~ CN(0, I). None stands for F_k = I.
+        """Draw the geometry and return F_k of each source with one wave per row, shape (K, S, M).
 
-        theta: the sources; lower, upper: the box they come from [rad, m].
+        g_k is the sum of the waves with gains z ~ CN(0, I). None stands for F_k = I.
+
+        rng: random generator.
+        manifold: array and wavefront model.
+        theta: sources [rad, m], shape (K, d).
+        lower: lower bounds of one source [rad, m], shape (d,).
+        upper: upper bounds of one source [rad, m], shape (d,).
         """
 
     def draw(
@@ -51,16 +57,16 @@ class NLoS(ABC):
         lower: Float[ndarray, " d"],
         upper: Float[ndarray, " d"],
     ) -> Complex[ndarray, "count m k"]:
-        """``count`` independent draws, in one scene, of G = [g_1 … g_K], each E‖g_k‖² = M.
+        """Return ``count`` independent draws of G = [g_1 … g_K] in one scene, with E‖g_k‖² = M.
 
-        The first ones do not depend on ``count``, but for rounding. Arguments as of ``factors``.
+        The first draws do not depend on ``count``, except for rounding. The other arguments are those of ``factors``.
         """
         F = self.factors(rng, manifold, theta, lower, upper)
         waves = manifold.elements if F is None else F.shape[1]
         Z = complex_normal(rng, (count, waves, len(theta)))
         if F is None:
             return Z
-        G: ndarray = np.ascontiguousarray(np.moveaxis(Z, 2, 0)) @ F  # contiguous for BLAS
+        G: ndarray = np.ascontiguousarray(np.moveaxis(Z, 2, 0)) @ F  # BLAS needs a contiguous array
         return np.moveaxis(G, 0, 2)
 
     def covariance(
@@ -71,7 +77,7 @@ class NLoS(ABC):
         lower: Float[ndarray, " d"],
         upper: Float[ndarray, " d"],
     ) -> Complex[ndarray, "k m m"]:
-        """E[g_k·g_kᴴ] of each source, in the scene that ``draw`` makes of a generator in the same state."""
+        """Return E[g_k·g_kᴴ] of each source, for the scene that ``draw`` draws with a generator in the same state."""
         F = self.factors(rng, manifold, theta, lower, upper)
         if F is None:
             return np.tile(np.eye(manifold.elements, dtype=np.complex128), (len(theta), 1, 1))
@@ -82,7 +88,7 @@ class NLoS(ABC):
 @final
 @dataclass(frozen=True)
 class IID(Options, NLoS):
-    """Rich scattering from everywhere: independent, circular complex Gaussian entries of unit variance."""
+    """Rich scattering from all directions: independent circular complex Gaussian entries of unit variance."""
 
     kind: ClassVar[str] = "iid"
 
@@ -100,9 +106,10 @@ class IID(Options, NLoS):
 @final
 @dataclass(frozen=True)
 class Isotropic(Options, NLoS):
-    """Plane waves from all directions alike, in three dimensions: covariance sin(kd)/(kd) of antennas d apart.
+    """Plane waves that arrive uniformly from all directions in three dimensions.
 
-    Between the neighbours of a ULA at λ/2 it vanishes, and there this is ``iid``.
+    The covariance of two antennas at a distance d is sin(kd)/(kd) with k = 2π/λ. It vanishes for all pairs of antennas
+    of a ULA with a spacing of λ/2, for which this distribution equals ``iid``.
     """
 
     kind: ClassVar[str] = "isotropic"
@@ -118,7 +125,7 @@ class Isotropic(Options, NLoS):
         Q = manifold.positions
         d = np.linalg.norm(Q[:, None] - Q, axis=-1)
         values, V = np.linalg.eigh(np.sinc(2 * d / manifold.wavelength_m))  # sinc x = sin(πx)/(πx)
-        # the symmetric root, which unlike V itself is the same with every LAPACK
+        # unlike V itself, the symmetric root does not depend on the LAPACK implementation
         root = (V * np.sqrt(np.maximum(values, 0.0))) @ V.T
         return np.broadcast_to(root.astype(np.complex128), (len(theta), *root.shape))
 
@@ -126,16 +133,20 @@ class Isotropic(Options, NLoS):
 @final
 @dataclass(frozen=True)
 class Clusters(Options, NLoS):
-    """Clusters of scatterers, other ones for every source, centred anywhere in the scenario's box, in the near field.
+    """Clusters of near-field scatterers around random centres in the scenario's box, drawn separately for each source.
 
-    Correlated Rayleigh fading: a sum of the scatterers' responses with independent complex Gaussian gains, covariance
-    Σ_c w_c/N_s Σ a·aᴴ. Demir, Kosasih & Björnson 2024 (arXiv:2406.05844) integrate over a density of scatterers what
-    is summed here. Without elevation all scatterers lie in the plane.
+    The result is correlated Rayleigh fading: a sum of the scatterers' responses with independent complex Gaussian
+    gains, whose covariance is Σ_c w_c/N_s Σ a·aᴴ with Σ_c w_c = 1. Demir, Kosasih & Björnson 2024 (arXiv:2406.05844)
+    integrate over a density of scatterers instead of summing. Without elevation, all scatterers lie in the plane.
+    Negative ranges are replaced by their absolute values.
 
-    clusters: N_c, of each source, their centres uniform in angle and range. scatterers: N_s, of each cluster.
-    angular_spread_deg: standard deviation of a scatterer's azimuth (and elevation) from the centre's, Gaussian [°].
-    range_spread_m: of its range, Gaussian [m]; default: as deep as wide, the angular spread in radians times the
-    centre's range. A range below 0 is reflected. weights: power of each cluster, relative (default: equal).
+    clusters: number N_c of clusters per source; their centres are uniform in angle and range.
+    angular_spread_deg: standard deviation [°] of the Gaussian offsets of scatterers from their cluster's centre in
+        azimuth (and elevation).
+    range_spread_m: standard deviation [m] of the Gaussian offsets of scatterers from their cluster's centre in range;
+        None: the angular spread in radians times the range of the centre, so that a cluster is as deep as it is wide.
+    scatterers: number N_s of scatterers per cluster.
+    weights: relative power of each cluster, N_c positive numbers; None: equal powers.
     """
 
     kind: ClassVar[str] = "clusters"
@@ -148,7 +159,7 @@ class Clusters(Options, NLoS):
 
     def validate(self) -> None:
         if self.weights is not None and len(self.weights) != self.clusters:
-            raise ValueError(f"weights: expected {self.clusters}, one a cluster, got {len(self.weights)}")
+            raise ValueError(f"weights: expected {self.clusters} numbers, one per cluster, got {len(self.weights)}")
 
     def factors(
         self,
@@ -169,11 +180,15 @@ class Clusters(Options, NLoS):
 @final
 @dataclass(frozen=True)
 class ClusterAroundSource(Options, NLoS):
-    """One cluster of scatterers around each source, as objects near a transmitter make it.
+    """One cluster of scatterers around each source, which models objects near a transmitter.
 
-    scatterers: N_s, of each cluster. angular_spread_deg: standard deviation of a scatterer's azimuth (and elevation)
-    from the source's, Gaussian [°]. range_spread_m: of its range, Gaussian [m]; default: as deep as wide, the angular
-    spread in radians times the source's range. A range below 0 is reflected.
+    Negative ranges are replaced by their absolute values.
+
+    angular_spread_deg: standard deviation [°] of the Gaussian offsets of scatterers from the source in azimuth (and
+        elevation).
+    range_spread_m: standard deviation [m] of the Gaussian offsets of scatterers from the source in range; None: the
+        angular spread in radians times the range of the source, so that the cluster is as deep as it is wide.
+    scatterers: number N_s of scatterers per cluster.
     """
 
     kind: ClassVar[str] = "cluster-around-source"
@@ -201,7 +216,7 @@ def _scatter(
     angular_spread_deg: float,
     range_spread_m: float | None,
 ) -> Float[ndarray, "*c count d"]:
-    """``count`` points around each centre [rad, m]."""
+    """Draw ``count`` points around each centre [rad, m]."""
     spread = np.full(centres.shape, math.radians(angular_spread_deg))
     spread[..., -1] = spread[..., -1] * centres[..., -1] if range_spread_m is None else range_spread_m
     offsets = rng.standard_normal((*centres.shape[:-1], count, centres.shape[-1]))
@@ -211,13 +226,13 @@ def _scatter(
 
 
 def rician(A: Complex[ndarray, "m k"], G: Complex[ndarray, "t m k"], rician_k: float) -> Complex[ndarray, "t m k"]:
-    """The channels √(κ/(κ+1))·A + √(1/(κ+1))·G; κ = inf is the line of sight A exactly, whatever G."""
+    """Return the channels √(κ/(κ+1))·A + √(1/(κ+1))·G; for κ = inf they are exactly the line of sight A."""
     if math.isinf(rician_k):
         return np.broadcast_to(A, G.shape)
     return math.sqrt(rician_k / (rician_k + 1)) * A + math.sqrt(1 / (rician_k + 1)) * G
 
 
 def complex_normal(rng: np.random.Generator, shape: tuple[int, ...]) -> Complex[ndarray, "*shape"]:
-    """Circular complex Gaussian numbers of unit variance, drawn in the order of ``shape``."""
+    """Draw circular complex Gaussian numbers of unit variance, in C order of ``shape``."""
     pairs = rng.standard_normal((*shape, 2)) * math.sqrt(0.5)
     return pairs.view(np.complex128)[..., 0]

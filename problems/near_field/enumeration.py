@@ -1,4 +1,4 @@
-"""How many sources there are: as the truth has it, as the user assumes, or estimated from eigenvalues."""
+"""The number of sources: the true number, an assumed number, or an estimate from the eigenvalues of the data."""
 
 from __future__ import annotations
 
@@ -16,16 +16,18 @@ from .subspace import compress
 __all__ = ["Criterion", "Sources", "estimate_sources", "how_many"]
 
 Criterion: TypeAlias = Literal["aic", "mdl", "ne"]
-"""What the estimated number minimizes: AIC, MDL, or the criterion of Nadakuditi and Edelman."""
+"""The criterion that the estimated number minimizes: AIC, MDL, or that of Nadakuditi and Edelman."""
 
 Sources: TypeAlias = Annotated[int, Ge(1)] | Literal["known", "estimate"]
-"""The option of a formulation: a number to assume, right or wrong; "known", the true one; "estimate", from the data."""
+"""The number of sources that a formulation assumes: a number (which may be wrong), "known" for the true number, or
+"estimate" for an estimate from the data."""
 
 
 def how_many(instance: NearFieldInstance, sources: Sources, criterion: Criterion) -> int:
-    """The number K of sources that a formulation with these options looks for; 0 is possible with "estimate".
+    """Return the number K of sources that a formulation with these options looks for; "estimate" may return 0.
 
-    Raises Incompatible where ``criterion`` is undefined, or where as many or more than the antennas are assumed.
+    Raises Incompatible if ``criterion`` is undefined for the data, or if the assumed number is not smaller than the
+    number of antennas.
     """
     if sources == "known":
         return instance.sources
@@ -37,24 +39,27 @@ def how_many(instance: NearFieldInstance, sources: Sources, criterion: Criterion
 
 
 def estimate_sources(Y: Complex[ndarray, "m t"], criterion: Criterion) -> int:
-    """The number of sources in Y, (M, T), from the eigenvalues of Y·Yᴴ/T, for noise white and unknown in power.
+    """Estimate the number of sources from the eigenvalues of Y·Yᴴ/T, for white noise of unknown power.
 
-    "aic", "mdl": Wax & Kailath 1985, doi:10.1109/TASSP.1985.1164557; MDL is consistent, AIC tends to see too many.
-    "ne": Nadakuditi & Edelman 2008 (arXiv:0705.2605), with fewer snapshots than antennas too. Raises Incompatible for
-    AIC and MDL where T < M, ValueError where Y is not finite or lacks the noise: then an eigenvalue is zero.
+    Each source is assumed to contribute a signal of rank one; a source whose channel changes from snapshot to snapshot
+    is counted as several. Raises Incompatible for AIC and MDL if T < M, and ValueError if Y is not finite or contains
+    no noise, so that an eigenvalue is zero.
 
-    What is counted are signals of rank one: a channel that fades from snapshot to snapshot counts as many.
+    Y: received data, shape (M, T).
+    criterion: "aic" or "mdl" (Wax & Kailath 1985, doi:10.1109/TASSP.1985.1164557), where MDL is consistent and AIC
+        tends to overestimate; or "ne" (Nadakuditi & Edelman 2008, arXiv:0705.2605), which also works with fewer
+        snapshots than antennas.
     """
     M, T = Y.shape
     if criterion != "ne" and T < M:
         raise Incompatible(
-            f'criterion: expected "ne" with fewer snapshots ({T}) than antennas ({M}), got "{criterion}"'
+            f'criterion: expected "ne", because there are fewer snapshots ({T}) than antennas ({M}), got "{criterion}"'
         )
     eigenvalues = np.linalg.svd(compress(Y), compute_uv=False) ** 2 / T if np.isfinite(Y).all() else np.zeros(1)
     if not eigenvalues[-1] > 0:
         raise ValueError("Y: expected finite data with noise in every direction, got NaN, infinite or noiseless data")
     k = np.arange(len(eigenvalues))  # 0 … min(M, T) − 1
-    mean = _tail_sum(eigenvalues) / (M - k)  # of l_i, i > k; for T < M the others are zero
+    mean = _tail_sum(eigenvalues) / (M - k)  # mean of l_i, i > k; for T < M the remaining ones are zero
     if criterion == "ne":
         t = M * (_tail_sum(eigenvalues**2) / (M - k) / mean**2 - (1 + M / T))
         return int(np.argmin((T / M * t) ** 2 / 2 + 2 * (k + 1)))
@@ -64,5 +69,5 @@ def estimate_sources(Y: Complex[ndarray, "m t"], criterion: Criterion) -> int:
 
 
 def _tail_sum(values: Float[ndarray, " n"]) -> Float[ndarray, " n"]:
-    """Σ_{i>k} of values 1, 2, … for k = 0, 1, …"""
+    """Return Σ_{i>k} values_i for k = 0, 1, …, with i counted from 1."""
     return np.cumsum(values[::-1])[::-1]

@@ -1,7 +1,7 @@
-"""The one frame of everything: where a source at given angles and range sits.
+"""The coordinate system: the position of a source with given angles and range.
 
 A source is a row ``theta``: ``[azimuth, range]`` in 2D, ``[azimuth, elevation, range]`` in 3D, in radians and metres.
-x points along the broadside of the built-in ULA and UPA, y along the ULA, z up.
+The x axis points to the broadside of the built-in ULA and UPA, the y axis along the ULA, and the z axis upwards.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ __all__ = ["cartesian", "direction_derivatives", "directions"]
 
 
 def directions(theta: Float[ndarray, "*p d"]) -> Float[ndarray, "*p 3"]:
-    """The unit vectors u = [cosψ cosφ, cosψ sinφ, sinψ] from the origin towards sources ``theta`` [rad, m]."""
+    """Return the unit vectors u = [cosψ cosφ, cosψ sinφ, sinψ] from the origin to the sources ``theta`` [rad, m]."""
     u = np.zeros((*theta.shape[:-1], 3))
     azimuth = theta[..., 0]
     np.cos(azimuth, out=u[..., 0])
@@ -27,7 +27,7 @@ def directions(theta: Float[ndarray, "*p d"]) -> Float[ndarray, "*p 3"]:
 
 
 def direction_derivatives(theta: Float[ndarray, "p d"]) -> Float[ndarray, "p angles 3"]:
-    """The derivatives of the unit vectors with respect to azimuth (and elevation) [1/rad]."""
+    """Return the derivatives of the unit vectors with respect to azimuth (and elevation) [1/rad]."""
     azimuth = theta[:, 0]
     elevation = theta[:, 1] if theta.shape[-1] == 3 else np.zeros_like(azimuth)
     cos_a, sin_a, cos_e, sin_e = np.cos(azimuth), np.sin(azimuth), np.cos(elevation), np.sin(elevation)
@@ -37,6 +37,6 @@ def direction_derivatives(theta: Float[ndarray, "p d"]) -> Float[ndarray, "p ang
 
 
 def cartesian(theta: Float[ndarray, "*p d"]) -> Float[ndarray, "*p 3"]:
-    """The positions p = r·u [m] of sources ``theta`` [rad, m]."""
+    """Return the positions p = r·u [m] of sources ``theta`` [rad, m]."""
     p: ndarray = theta[..., -1:] * directions(theta)
     return p

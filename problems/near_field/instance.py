@@ -1,4 +1,4 @@
-"""One draw of a near-field scenario: the data, the truth, and how an estimate is scored."""
+"""One draw of a near-field scenario: the data, the true sources, and the scores of an estimate."""
 
 from __future__ import annotations
 
@@ -24,13 +24,18 @@ __all__ = ["NearFieldInstance"]
 @final
 @dataclass(frozen=True, eq=False)
 class NearFieldInstance(Instance):
-    """What an array received, and where it came from.
+    """The data received by an array, and the sources that sent them.
 
-    Y: (M, T) received data, noise of unit variance. theta: (K, d) the true sources, ``[azimuth, (elevation,) range]``
-    [rad, m]. manifold: the array and the wavefront the data were made with. lower, upper: (d,) the box of one source.
-    H: (1, M, K) the channel of the block, or (T, M, K) that of every snapshot. symbols: (K, T) what the sources sent,
-    of power snr. snr: (K,) per source and antenna, over the noise. rician_k: κ, inf in pure line of sight.
-    gospa_cutoff_m: c [m] of ``gospa_m``.
+    Y: received data, shape (M, T), with noise of unit variance.
+    theta: true sources ``[azimuth, (elevation,) range]`` [rad, m], shape (K, d).
+    manifold: array and wavefront model with which the data were generated.
+    lower: lower bounds of one source [rad, m], shape (d,).
+    upper: upper bounds of one source [rad, m], shape (d,).
+    H: channel of the whole block, shape (1, M, K), or of each snapshot, shape (T, M, K).
+    symbols: symbols sent by the sources, shape (K, T); symbols of source k have the power ``snr[k]``.
+    snr: signal-to-noise power ratio per source at each antenna, shape (K,).
+    rician_k: Rician factor κ; inf: pure line of sight.
+    gospa_cutoff_m: cutoff distance c [m] of the score ``gospa_m``.
     """
 
     Y: Complex[ndarray, "m t"]
@@ -53,26 +58,31 @@ class NearFieldInstance(Instance):
         return self.theta
 
     def score(self, estimate: Float[ndarray, "found d"]) -> dict[str, float]:
-        """Cartesian errors [m] of the assignment of estimates to sources with the least sum of squares (Kuhn 1955).
+        """Return the Cartesian errors [m] of an estimate (K̂, d) [rad, m], and the bounds of the scene.
 
-        ``rmse_m`` is the root of the mean square of those matched, min(K, K̂) of them; ``error_1_m`` … belong to the
-        true sources in order, NaN where one has no partner. ``gospa_m`` counts the others too: p = α = 2, so that a
-        source missed and an estimate too many add c²/2 each to its square (Rahmathullah, García-Fernández & Svensson
-        2017, doi:10.23919/ICIF.2017.8009645).
-        ``sources`` is K, ``sources_found`` K̂. All are NaN if the estimate is not finite, ``rmse_m`` if it is empty.
-        Beside them stand the ``bounds``, which do not depend on the estimate. Raises ValueError unless the estimate is
-        (K̂, d) [rad, m].
+        Estimates are assigned to sources so that the sum of squared distances is minimal (Kuhn 1955). All scores except
+        the bounds are NaN if the estimate is not finite. Raises ValueError if the estimate has the wrong shape.
+
+        rmse_m: root mean square error of the min(K, K̂) assigned pairs; NaN if the estimate is empty.
+        gospa_m: GOSPA metric with p = α = 2 (Rahmathullah, García-Fernández & Svensson 2017,
+            doi:10.23919/ICIF.2017.8009645), which also penalizes a wrong number of estimates: each missed source and
+            each surplus estimate adds c²/2 to its square.
+        sources: true number K.
+        sources_found: number K̂ of estimates.
+        error_1_m, error_2_m, …: errors of the true sources in their order; NaN for a source without an estimate.
+
+        The columns of ``bounds`` are included; they do not depend on the estimate.
         """
         estimate = np.asarray(estimate, dtype=np.float64)
         d = self.theta.shape[1]
         if estimate.ndim != 2 or estimate.shape[1] != d:
-            raise ValueError(f"estimate: expected shape (K, {d}), a row per source, got {estimate.shape}")
+            raise ValueError(f"estimate: expected shape (K, {d}), one row per source, got {estimate.shape}")
         with np.errstate(over="ignore", invalid="ignore"):
             squares = np.sum((cartesian(self.theta)[:, None] - cartesian(estimate)) ** 2, axis=-1)
         K, found = squares.shape
         errors = np.full(K, math.nan)
         scores = dict.fromkeys(("rmse_m", "gospa_m", "sources", "sources_found"), math.nan)
-        if np.isfinite(squares).all():  # false too where an estimate is so far off that its square is infinite
+        if np.isfinite(squares).all():  # also false if a squared distance overflows
             true, matched = linear_sum_assignment(squares)
             errors[true] = np.sqrt(squares[true, matched])
             rmse = math.sqrt(np.mean(squares[true, matched])) if found else math.nan
@@ -86,7 +96,7 @@ class NearFieldInstance(Instance):
         return scores | self.bounds()
 
     def positions(self, estimate: Float[ndarray, "q d"]) -> tuple[Float[ndarray, "k 3"], Float[ndarray, "k 3"]]:
-        """The true positions and, row by row, the estimates assigned to them as for the score [m]."""
+        """Return the true positions and, row by row, the estimates assigned to them as in ``score`` [m]."""
         truth, found = (
             cartesian(self.theta),
             cartesian(np.asarray(estimate, dtype=np.float64).reshape(-1, self.theta.shape[1])),
@@ -97,14 +107,22 @@ class NearFieldInstance(Instance):
         return truth, matched
 
     def bounds(self) -> dict[str, float]:
-        """What errors [m] of this scene are to be compared with, by column name.
+        """Return reference values [m] for the errors of this scene, by column name.
 
-        In pure line of sight the Cramér–Rao bounds of positions: ``crb_m``, the root mean square over sources of the
-        stochastic ones ``crb_1_m`` …, and ``crb_deterministic_m`` of those for the symbols that were sent. They are
-        inf where the sources cannot be told apart, and know nothing of the box: where they approach its size, an
-        estimate within it can be better. Under Rician fading, where no such bound holds, ``floor_m``: the root mean
-        square error of least squares without noise, started at the truth. It is no bound either, but tells what more
-        SNR cannot mend. A planar wavefront, which hides the range, has neither.
+        In pure line of sight these are the Cramér–Rao bounds of the positions. They are inf if the sources cannot be
+        distinguished. They do not take the box into account: if a bound is comparable with the size of the box, an
+        estimate within the box can have a smaller error.
+
+        crb_m: root mean square of the stochastic bounds over the sources.
+        crb_deterministic_m: root mean square of the deterministic bounds, for the symbols that were sent.
+        crb_1_m, crb_2_m, …: stochastic bounds of the individual sources.
+
+        Under Rician fading these bounds do not hold; the only column is then:
+
+        floor_m: root mean square error of a least-squares fit to data without noise, started at the true sources. This
+            is not a bound, but the error that remains even at infinite SNR.
+
+        With a planar wavefront, from which the range cannot be estimated, there are no columns.
         """
         if self.manifold.wavefront == "planar":
             return {}
@@ -115,11 +133,11 @@ class NearFieldInstance(Instance):
             return {"floor_m": _root_mean_square(errors)}
         stochastic = stochastic_bound(self.manifold, self.theta, self.snr, self.symbols.shape[1])
         deterministic = deterministic_bound(self.manifold, self.theta, self.symbols)
-        each = position_bounds(stochastic, self.theta)
+        per_source = position_bounds(stochastic, self.theta)
         return {
-            "crb_m": _root_mean_square(each),
+            "crb_m": _root_mean_square(per_source),
             "crb_deterministic_m": _root_mean_square(position_bounds(deterministic, self.theta)),
-            **{f"crb_{k}_m": float(bound) for k, bound in enumerate(each, start=1)},
+            **{f"crb_{k}_m": float(bound) for k, bound in enumerate(per_source, start=1)},
         }
 
 
@@ -128,7 +146,10 @@ def _root_mean_square(lengths: Float[ndarray, " k"]) -> float:
 
 
 def _gospa(squares: Float[ndarray, "k found"], cutoff: float) -> float:
-    """GOSPA of squared distances for p = α = 2: a pair beyond the cut-off costs as much as a missed and a false one."""
+    """Return GOSPA with p = α = 2 from squared distances [m²].
+
+    A pair that is farther apart than the cutoff costs as much as a missed source and a false estimate.
+    """
     near = np.minimum(squares, cutoff**2)
     unmatched = abs(squares.shape[0] - squares.shape[1])
     return math.sqrt(near[linear_sum_assignment(near)].sum() + unmatched * cutoff**2 / 2)

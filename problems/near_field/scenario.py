@@ -1,4 +1,4 @@
-"""The near-field scenario: sources in a box, an array, a Rician channel, noise."""
+"""The near-field scenario: sources in a box, an antenna array, a Rician channel and noise."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ __all__ = ["NearField", "NearFieldInstance"]
 
 _Finite: TypeAlias = Annotated[float, Gt(-math.inf), Lt(math.inf)]
 
-_BATCH, _BATCHES = 1000, 100  # placements tried at once, and how often, to keep sources apart
+_BATCH, _BATCHES = 1000, 100  # placements per attempt, and attempts, to find sources that are far enough apart
 
 
 @final
@@ -31,16 +31,29 @@ _BATCH, _BATCHES = 1000, 100  # placements tried at once, and how often, to keep
 class NearField(Scenario):
     """K sources in the near field of an array: Y = H·diag(√snr)·S + N.
 
-    array: a table of kind "ula", "upa", "uca" or "custom". wavelength_m: λ [m]. wavefront: "exact", "fresnel",
-    "paper" or "planar". sources: K, fewer than the elements. snapshots: T. snr_db: per source and antenna [dB], one
-    number or one a source. rician_k: power of the line of sight over that of the scattered waves, inf: line of sight
-    alone. fading: "block" (one channel for all snapshots) or "snapshot" (a new one each), to be stated where rician_k
-    is finite. nlos: a table of kind "iid", "clusters", "cluster-around-source" or "isotropic", how the scattered waves
-    are distributed. azimuth_deg, elevation_deg, range_m: the box [low, high] that sources are drawn from and estimates
-    are searched in [°, °, m]; without elevation_deg all is in the plane. min_separation_deg: least angle between any
-    two sources, seen from the origin [°]. positions: fixed sources instead of drawn ones, each [azimuth, (elevation,)
-    range] [°, m]. gospa_cutoff_m: c [m], what is farther off counts as missed in ``gospa_m``; by default as in the
-    tables.
+    array: table of kind "ula", "upa", "uca" or "custom" that describes the antenna array.
+    wavelength_m: wavelength λ [m].
+    wavefront: wavefront model of the data: "exact" (spherical), "fresnel", "paper" (the Fresnel model without its cos²φ
+        factor) or "planar".
+    sources: number K of sources; must be smaller than the number of antennas.
+    snapshots: number T of snapshots.
+    snr_db: signal-to-noise ratio per source at each antenna [dB]; one number for all sources, or a list with one number
+        per source.
+    rician_k: Rician factor κ, the power of the line of sight divided by that of the scattered waves (a ratio, not dB);
+        inf: line of sight only.
+    fading: "block" draws one channel for all snapshots, "snapshot" draws a new channel for each snapshot; None: not
+        stated, which is allowed only if rician_k is inf.
+    nlos: table of kind "iid", "clusters", "cluster-around-source" or "isotropic" that describes the distribution of the
+        scattered waves; it has no effect if rician_k is inf.
+    azimuth_deg: interval [low, high] [°] from which azimuths are drawn and in which they are searched.
+    elevation_deg: interval [low, high] [°] from which elevations are drawn and in which they are searched; None: all
+        sources lie in the plane z = 0, and elevation is not estimated.
+    range_m: interval [low, high] [m] from which ranges are drawn and in which they are searched.
+    min_separation_deg: minimum angle [°] between the directions of any two sources, seen from the origin.
+    positions: list of fixed sources [azimuth, (elevation,) range] [°, m], one per source; None: sources are drawn at
+        random.
+    gospa_cutoff_m: cutoff distance c [m] of the score ``gospa_m``; an estimate farther away counts as a missed source
+        and a false estimate.
     """
 
     instance: ClassVar[type[Instance]] = NearFieldInstance
@@ -71,9 +84,10 @@ class NearField(Scenario):
         if self.sources >= elements:
             problems.append(("sources", f"expected fewer than the {elements} elements, got {self.sources}"))
         if isinstance(self.snr_db, tuple) and len(self.snr_db) != self.sources:
-            problems.append(("snr_db", f"expected one number or {self.sources}, one a source, got {len(self.snr_db)}"))
+            text = f"expected one number, or {self.sources} (one per source), got {len(self.snr_db)}"
+            problems.append(("snr_db", text))
         if math.isfinite(self.rician_k) and self.fading is None:
-            problems.append(("fading", f'expected "block" or "snapshot" with rician_k = {self.rician_k:g}, got none'))
+            problems.append(("fading", f'expected "block" or "snapshot" for rician_k = {self.rician_k:g}, got none'))
         if self.positions is not None and not problems:
             problems += self._misplaced(self.positions)
         if problems:
@@ -85,10 +99,10 @@ class NearField(Scenario):
     def draw(self, rng: np.random.Generator) -> NearFieldInstance:
         """Draw positions, fading, symbols and noise, each from its own child of ``rng``, spawned in this order.
 
-        So one seed gives the same positions, symbols and noise at every SNR, Rician factor and wavefront. Raises
-        ValueError where no placement with sources ``min_separation_deg`` apart is found.
+        The same seed therefore gives the same positions, symbols and noise at every SNR, Rician factor and wavefront.
+        Raises ValueError if no placement is found whose sources are ``min_separation_deg`` apart.
         """
-        kernels.warm_up()  # before any clock runs
+        kernels.warm_up()  # so that no measured time includes the compilation
         for_positions, for_fading, for_symbols, for_noise = rng.spawn(4)
         lower, upper = self._box()
         theta = self._place_sources(for_positions, lower, upper)
@@ -105,35 +119,35 @@ class NearField(Scenario):
         return NearFieldInstance(Y, theta, manifold, lower, upper, H, symbols, snr, self.rician_k, self.gospa_cutoff_m)
 
     def _box(self) -> tuple[Float[ndarray, " d"], Float[ndarray, " d"]]:
-        """The bounds of one source [rad, m]."""
+        """Return the lower and upper bounds of one source [rad, m]."""
         angles = [self.azimuth_deg] if self.elevation_deg is None else [self.azimuth_deg, self.elevation_deg]
         lower, upper = np.array([*np.radians(angles), self.range_m]).T
         return lower, upper
 
     def _place_sources(self, rng: np.random.Generator, lower: ndarray, upper: ndarray) -> Float[ndarray, "k d"]:
-        """Uniform positions in the box, drawn anew, all together, until every two are far enough apart."""
+        """Draw uniform positions in the box; all of them are redrawn until every pair is far enough apart."""
         if self.positions is not None:
             degrees = np.array(self.positions)
             return np.hstack([np.radians(degrees[:, :-1]), degrees[:, -1:]])
         if not self.min_separation_deg:
             return rng.uniform(lower, upper, (self.sources, len(lower)))
-        least = 2 * math.sin(math.radians(self.min_separation_deg) / 2)  # the chord between two directions
+        chord = 2 * math.sin(math.radians(self.min_separation_deg) / 2)  # smallest distance of two unit vectors
         first, second = np.triu_indices(self.sources, k=1)
         for _ in range(_BATCHES):
             theta = rng.uniform(lower, upper, (_BATCH, self.sources, len(lower)))
             u = directions(theta)
-            apart = (np.linalg.norm(u[:, first] - u[:, second], axis=-1) >= least).all(axis=-1)
+            apart = (np.linalg.norm(u[:, first] - u[:, second], axis=-1) >= chord).all(axis=-1)
             if apart.any():
                 return np.asarray(theta[np.argmax(apart)])
         raise ValueError(
-            f"min_separation_deg: expected room for {self.sources} sources {self.min_separation_deg:g}° apart, "
-            f"got none in {_BATCH * _BATCHES} placements; widen the box, or lower it or sources"
+            f"min_separation_deg: expected a placement of {self.sources} sources {self.min_separation_deg:g}° apart, "
+            f"got none in {_BATCH * _BATCHES} attempts; widen the box, or reduce min_separation_deg or sources"
         )
 
     def _misplaced(self, positions: tuple[tuple[float, ...], ...]) -> list[tuple[str, str]]:
-        """What is wrong with fixed positions, as (path, message) pairs."""
+        """Return the errors in fixed positions as (path, message) pairs."""
         if len(positions) != self.sources:
-            return [("positions", f"expected {self.sources}, one a source, got {len(positions)}")]
+            return [("positions", f"expected {self.sources} positions, one per source, got {len(positions)}")]
         box = {"azimuth_deg": self.azimuth_deg, "elevation_deg": self.elevation_deg, "range_m": self.range_m}
         sides = {name: side for name, side in box.items() if side is not None}
         problems = []
@@ -149,15 +163,17 @@ class NearField(Scenario):
         return problems
 
 
-def _interval(name: str, interval: tuple[float, float] | None, least: float, most: float) -> list[tuple[str, str]]:
-    """What is wrong with a side of the box, as (path, message) pairs."""
+def _interval(
+    name: str, interval: tuple[float, float] | None, smallest: float, largest: float
+) -> list[tuple[str, str]]:
+    """Return the errors in one interval of the box as (path, message) pairs."""
     if interval is None:
         return []
     low, high = interval
     if not low < high:
         return [(name, f"expected [low, high] with low < high, got [{low:g}, {high:g}]")]
     if name == "range_m" and low <= 0:
-        return [(name, f"expected a range greater than 0, got [{low:g}, {high:g}]")]
-    if low < least or high > most:
-        return [(name, f"expected within [{least:g}, {most:g}], got [{low:g}, {high:g}]")]
+        return [(name, f"expected ranges greater than 0, got [{low:g}, {high:g}]")]
+    if low < smallest or high > largest:
+        return [(name, f"expected an interval within [{smallest:g}, {largest:g}], got [{low:g}, {high:g}]")]
     return []

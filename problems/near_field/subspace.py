@@ -1,4 +1,4 @@
-"""Received data, made small: the factor that keeps its energy, and the subspace that holds its signals."""
+"""Reduction of the received data: a small factor of Y·Yᴴ, and the signal subspace."""
 
 from __future__ import annotations
 
@@ -12,23 +12,26 @@ __all__ = ["compress", "signal_subspace"]
 
 
 def compress(Y: Complex[ndarray, "m t"]) -> Complex[ndarray, "m c"]:
-    """A factor L of c = min(M, T) columns with L·Lᴴ = Y·Yᴴ, from Yᴴ = QR: L = Rᴴ, zero above its diagonal."""
+    """Return a factor L with c = min(M, T) columns and L·Lᴴ = Y·Yᴴ; from Yᴴ = QR, L = Rᴴ is lower triangular."""
     L: ndarray = np.linalg.qr(Y.conj().T).R.conj().T
     return L
 
 
 def signal_subspace(Y: Complex[ndarray, "m t"], sources: int) -> Complex[ndarray, "m k"]:
-    """The eigenvectors U_s of R̂ = Y·Yᴴ/T to its K greatest eigenvalues, as columns, greatest first.
+    """Return the eigenvectors U_s of R̂ = Y·Yᴴ/T for its K largest eigenvalues as columns, in descending order.
 
-    Computed as left singular vectors of Y, which do not square its condition. The phase of each is fixed: its entry
-    of greatest modulus is real and positive. Raises Incompatible with fewer snapshots T than sources K, ValueError
-    with fewer antennas M.
+    They are computed as left singular vectors of Y, which avoids squaring the condition number. The phase of each
+    vector is fixed so that its entry of largest modulus is real and positive. Raises Incompatible if there are fewer
+    snapshots T than sources K, and ValueError if there are fewer antennas M.
+
+    Y: received data, shape (M, T).
+    sources: number K of sources.
     """
     if sources > Y.shape[1]:
         text = f"snapshots: expected at least {sources} for the signal subspace of {sources} sources, got {Y.shape[1]}"
         raise Incompatible(text)
     if not 1 <= sources <= len(Y):
-        raise ValueError(f"sources: expected 1 to M = {len(Y)}, got {sources}")
+        raise ValueError(f"sources: expected a number from 1 to M = {len(Y)}, got {sources}")
     U = np.linalg.svd(compress(Y), full_matrices=False)[0][:, :sources]
     pivots = U[np.argmax(np.abs(U), axis=0), np.arange(sources)]
     U_s: ndarray = U * (pivots.conj() / np.abs(pivots))

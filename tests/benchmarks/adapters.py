@@ -1,4 +1,4 @@
-"""What a point costs in the optional libraries: wall-clock time on a sphere in 4 unknowns.
+"""Wall-clock time per point of the optional libraries, on a sphere with 4 unknowns.
 
 python tests/benchmarks/adapters.py
 """
@@ -24,7 +24,7 @@ BUDGETS = (1000, 2000)
 
 def main() -> None:
     instance = Functions(function="sphere", dimension=4).draw(np.random.default_rng(1))
-    table = Table("solver", "algorithm", *(f"µs a point of {budget}" for budget in BUDGETS))
+    table = Table("solver", "algorithm", *(f"µs per point, {budget} points" for budget in BUDGETS))
     for name, algorithms in ALGORITHMS.items():
         for algorithm in algorithms:
             try:

@@ -1,8 +1,8 @@
-"""What the engine and the store cost and bear: ``python tests/benchmarks/engine.py [RUNS]`` (default 200,000).
+"""Cost and capacity of the engine and the store: ``python tests/benchmarks/engine.py [RUNS]`` (default 200,000).
 
-Empty runs (a formulation that returns the answer) on two workers: rate, the parent's peak memory, the time to resume
-the finished folder and to ask for its status, its size. Then real runs, NEMO with DE at the paper's settings: the rate
-on two workers against twice that of one, measured in turn.
+First, empty runs (a formulation that returns the true answer) on two workers: the rate, the peak memory of the parent,
+the time to resume the finished folder and to print its status, and its size. Then real runs, NEMO with DE at the
+settings of the paper: the rate of two workers divided by twice the rate of one, measured alternately.
 """
 
 from __future__ import annotations
@@ -53,14 +53,14 @@ evaluations = 15000
 
 
 def nfbench(*arguments: object) -> float:
-    """Wall-clock seconds of one command."""
+    """Run one command and return its wall-clock time [s]."""
     start = time.perf_counter()
     subprocess.run([sys.executable, "-m", "nfbench", *map(str, arguments)], check=True, stdout=subprocess.DEVNULL)
     return time.perf_counter() - start
 
 
 def child(folder: Path, manifest: Path) -> None:
-    """Run the study in this process and print its peak memory [MiB], for the parent to read."""
+    """Run the study in this process and print its peak memory [MiB] for the parent process."""
     import nfbench as library
 
     library.run(library.load_study(manifest), out=folder, jobs=2)
@@ -68,7 +68,7 @@ def child(folder: Path, manifest: Path) -> None:
 
 
 def session_seconds(folder: Path) -> float:
-    """Seconds from the first finished run to the last: what workers took, without their start and the tables."""
+    """Return the time [s] from the first finished run to the last, which excludes starting workers and the tables."""
     import nfbench as library
 
     finished = library.Results(folder).origins["finished"]
@@ -86,10 +86,12 @@ def main(runs: int) -> None:
         memory = float(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
         whole = time.perf_counter() - start
         size = (folder / "empty" / "runs.sqlite").stat().st_size
-        table.add_row(f"{runs:,} empty runs, whole command", f"{whole:.1f} s, {runs / whole:,.0f} runs/s")
-        table.add_row("the same, while runs are made", f"{runs / session_seconds(folder / 'empty'):,.0f} runs/s")
+        table.add_row(f"{runs:,} empty runs, complete command", f"{whole:.1f} s, {runs / whole:,.0f} runs/s")
+        table.add_row(
+            "the same, from the first to the last run", f"{runs / session_seconds(folder / 'empty'):,.0f} runs/s"
+        )
         table.add_row("peak memory of the parent", f"{memory:.0f} MiB")
-        table.add_row("runs.sqlite", f"{size / 2**20:.0f} MiB, {size / runs:.0f} bytes a row")
+        table.add_row("runs.sqlite", f"{size / 2**20:.0f} MiB, {size / runs:.0f} bytes per row")
         resumed = nfbench("run", folder / "empty.toml", "--out", folder / "empty", "--quiet")
         table.add_row("resuming the finished folder", f"{resumed:.2f} s")
         table.add_row("status", f"{nfbench('status', folder / 'empty'):.2f} s")
@@ -102,9 +104,10 @@ def main(runs: int) -> None:
                 seconds.append(session_seconds(out))
             rates.append(seconds[0] / seconds[1] / 2)
         size = (folder / "real-0-1" / "runs.sqlite").stat().st_size
-        table.add_row("NEMO + DE with its three traces", f"{size / 150 / 1024:.0f} KiB a row")
+        table.add_row("NEMO + DE with its three traces", f"{size / 150 / 1024:.0f} KiB per row")
         shown = ", ".join(f"{rate:.2f}" for rate in rates)
-        table.add_row("rate of 2 workers over twice that of 1", f"{statistics.median(rates):.2f} (of {shown})")
+        median = f"{statistics.median(rates):.2f} (median of {shown})"
+        table.add_row("rate of 2 workers / (2 × rate of 1)", median)
     Console(width=110).print(table)
 
 

@@ -1,4 +1,4 @@
-"""How the kernels' time grows, with the exponents fitted beside the complexities that the paper claims."""
+"""Growth of the kernels' time: fitted exponents next to the complexities stated in the paper."""
 
 from __future__ import annotations
 
@@ -68,8 +68,8 @@ CASES: list[tuple[str, str, str, tuple[int, ...], Callable[[int], Callable[[], o
 
 
 def growth() -> Table:
-    """Exponents b of time ∝ nᵇ by least squares on logarithms, over the values shown."""
-    table = Table("growth of", "with", "over", "exponent", "the paper's", title="time ∝ nᵇ")
+    """Fit the exponents b of time ∝ nᵇ by least squares on logarithms."""
+    table = Table("growth of", "with", "over", "exponent", "paper", title="time ∝ nᵇ")
     for name, what, claim, values, make in CASES:
         times = [best_seconds(make(value)) for value in values]
         exponent = np.polyfit(np.log(values), np.log(times), 1)[0]

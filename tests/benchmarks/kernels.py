@@ -1,10 +1,11 @@
-"""How fast the objectives are: ``OMP_NUM_THREADS=1 python tests/benchmarks/kernels.py`` prints the tables.
+"""Speed of the objectives: ``OMP_NUM_THREADS=1 python tests/benchmarks/kernels.py`` prints the tables.
 
-Everything is a ratio of two things timed in turn within one run, the median over rounds. "literal" is the formula as
-printed, one point at a time with the projector written out. "zgemm" is the time the machine's BLAS takes for M² complex
-multiply-adds a candidate for RLS, and M·K·(3K − 1)/2 for ESF's inner products: 100 % is as fast as that, and more is
-possible because the factor is triangular and half of Hermitian matrices is redundant. "of its peak" is the same on the
-multiply-adds that are made, and the limit of what is left to gain: at 100 % the responses would cost nothing.
+All results are ratios of two quantities timed alternately in the same run, as medians over rounds. "literal" is the
+formula as printed, for one point at a time, with an explicit projector. "zgemm" is the time that BLAS takes for the
+complex multiply-adds of one candidate: M² for RLS, and M·K·(3K − 1)/2 for the inner products of ESF. At 100 % the
+kernel is as fast as that; more is possible because the factor is triangular and half of a Hermitian matrix is
+redundant. "of its peak" counts only the multiply-adds that the kernel really makes. It shows how much could still be
+gained: at 100 % the responses would cost nothing.
 """
 
 from __future__ import annotations
@@ -69,9 +70,14 @@ SPACE = NearField(
 
 @dataclass(frozen=True)
 class Case:
-    """One objective, its plain version, the formula as printed, and complex multiply-adds as (p, inner, columns).
+    """One objective in several implementations.
 
-    made: the share of these that the kernel makes, since a triangular factor is read from its diagonal on.
+    name: label of the case.
+    fast: compiled objective.
+    plain: vectorized NumPy version.
+    literal: formula as printed, for one point.
+    product: complex multiply-adds as the shape (p, inner, columns) of a matrix product.
+    made: fraction of these that the kernel makes, because a triangular factor is read only from its diagonal on.
     """
 
     name: str
@@ -141,10 +147,10 @@ def batches(all_cases: list[Case]) -> Table:
 
 
 def single_points(all_cases: list[Case]) -> Table:
-    """What a call costs, and the least it could.
+    """Measure the time of a call for one point, and a lower limit of it.
 
-    "at least": for ESF what a point costs in a batch; for RLS, whose batches read the factor once for 16 points, the
-    time to read it; and for both the call of a kernel of the same arguments that does nothing.
+    "at least" is, for ESF, the time per point in a batch and, for RLS, whose batches read the factor once for 16
+    points, the time to read the factor; in both cases plus the call of an empty kernel with the same arguments.
     """
     columns = (
         "µs",
@@ -196,7 +202,7 @@ def single_points(all_cases: list[Case]) -> Table:
 
 @numba.njit(fastmath=True, error_model="numpy")
 def read(rows: np.ndarray) -> float:
-    """The sum of what RLS reads of a factor: four rows at a time, from a multiple of 16 before the diagonal on."""
+    """Sum the part of a factor that RLS reads: four rows at a time, from the multiple of 16 before the diagonal on."""
     total = 0.0
     for j in range(np.uint64(0), np.uint64(rows.shape[1]), np.uint64(4)):
         for m in range(np.uint64(j // np.uint64(16) * np.uint64(16)), np.uint64(rows.shape[2])):
@@ -206,8 +212,8 @@ def read(rows: np.ndarray) -> float:
 
 
 def grids(instances: dict[str, NearFieldInstance], shapes: list[tuple[int, ...]]) -> Table:
-    """MUSIC's scan for maxima as it runs, and its M − ‖U_sᴴa‖² on every 100th block against NumPy's."""
-    table = Table("MUSIC grid, K = 3", "grid", "ns a point", "s in all", "÷ NumPy", "agrees to")
+    """Measure MUSIC's complete search for maxima, and M − ‖U_sᴴa‖² on every 100th block compared with NumPy."""
+    table = Table("MUSIC grid, K = 3", "grid", "ns per point", "total s", "÷ NumPy", "agrees to")
     for (name, instance), shape in zip(instances.items(), shapes, strict=True):
         manifold, U_s = instance.manifold, signal_subspace(instance.Y, 3)
         rows = kernels.pack_rows(compress(U_s))
@@ -228,9 +234,10 @@ def grids(instances: dict[str, NearFieldInstance], shapes: list[tuple[int, ...]]
         start = time.perf_counter()
         grid_maxima(U_s, manifold, axes, keep=1000)
         whole = time.perf_counter() - start
-        some = [points(first) for first in blocks[::100]]
-        ours, theirs = in_turn([lambda s=some: [fast(X) for X in s], lambda s=some: [plain(X) for X in s]], [1, 1], 3)
-        error = max(np.abs(fast(X) - plain(X)).max() for X in some)
+        sampled = [points(first) for first in blocks[::100]]
+        calls = [lambda s=sampled: [fast(X) for X in s], lambda s=sampled: [plain(X) for X in s]]
+        ours, theirs = in_turn(calls, [1, 1], 3)
+        error = max(np.abs(fast(X) - plain(X)).max() for X in sampled)
         table.add_row(
             name,
             " × ".join(map(str, shape)),
@@ -243,13 +250,14 @@ def grids(instances: dict[str, NearFieldInstance], shapes: list[tuple[int, ...]]
 
 
 def whole_runs(instances: dict[str, NearFieldInstance]) -> Table:
-    """The paper's NEMO-DE and NEEF-DE; NumPy's objectives take the kernels' place by name.
+    """Measure the paper's NEMO-DE and NEEF-DE with the kernels and with NumPy's objectives in their place.
 
-    "outside evaluate": the share of DE's time that is not the objective's, but DE's own and the meter's.
+    "outside evaluate" is the fraction of the time that is spent in DE and in the meter, not in the objective.
 
-    "at the same points": by how much J of the two objectives differs where the run with kernels ended. Of the two runs'
-    own J, NEMO's later ones differ by more: a minimizer is known to the square root of the rounding of J, and the next
-    residual depends on it to first order.
+    "J at the same points" is the relative difference of J between both objectives at the end points of the run with
+    kernels. "first J" and "later J" compare the final values of both runs. For NEMO the later ones differ more: a
+    minimizer is known only to the square root of the rounding error of J, and the next residual depends on it to first
+    order.
     """
     columns = ("s", "NumPy s", "÷ NumPy", "outside evaluate", "J at the same points", "first J", "later J")
     table = Table("whole run", *columns)

@@ -1,7 +1,7 @@
-"""What the meter costs on top of the problem: ``python tests/benchmarks/meter.py``.
+"""Overhead of the meter: ``python tests/benchmarks/meter.py``.
 
-Single points and batches of 100, with and without the meter, in turn, on the same points; the median of the paired
-differences. ESF of the paper's ULA gives the measure of what an evaluation costs.
+Single points and batches of 100 are evaluated alternately with and without the meter, at the same points; the result is
+the median of the paired differences. ESF of the paper's ULA shows the cost of a typical evaluation for comparison.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ ROUNDS = 41
 
 
 class Free(Problem):
-    """Costs nothing, so that what is left is the meter."""
+    """A problem whose evaluation costs almost nothing, so that the overhead of the meter remains."""
 
     def __init__(self, n: int) -> None:
         self.lower, self.upper = np.full(n, -1.0), np.full(n, 1.0)
@@ -38,7 +38,7 @@ class Free(Problem):
 
 
 def paired(bare: Callable[[], object], metered: Callable[[], object], number: int) -> tuple[float, float]:
-    """(median cost of the bare call, median extra of the metered one) in µs."""
+    """Return the median time of the bare call and the median additional time of the metered call [µs]."""
     rounds = [(seconds(bare, number), seconds(metered, number)) for _ in range(ROUNDS)]
     return 1e6 * statistics.median(b for b, _ in rounds), 1e6 * statistics.median(m - b for b, m in rounds)
 

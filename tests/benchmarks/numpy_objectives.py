@@ -1,4 +1,4 @@
-"""RLS and ESF in vectorised NumPy: what the kernels are compared with, in tests and benchmarks."""
+"""RLS and ESF in vectorized NumPy, with which the kernels are compared in tests and benchmarks."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from nfbench.problems.near_field.wavefronts import Manifold
 
 
 def respond(manifold: Manifold, theta: ndarray) -> ndarray:
-    """The response vectors of sources (*p, d), one a row."""
+    """Return the response vectors (*p, M) of sources (*p, d) [rad, m], one per row."""
     s, r, w = directions(theta) @ manifold.positions.T, theta[..., -1:], np.sum(manifold.positions**2, axis=1)
     match manifold.wavefront:
         case "exact":
@@ -34,7 +34,7 @@ def respond(manifold: Manifold, theta: ndarray) -> ndarray:
 
 
 class NumPyRLS(Problem):
-    """J(θ) = ‖(I − P_a)Y‖²_F + the repulsion, as one matrix product for all points."""
+    """J(θ) = ‖(I − P_a)Y‖²_F + repulsion, computed with one matrix product for all points."""
 
     has_gradient = True
 
@@ -71,7 +71,7 @@ class NumPyRLS(Problem):
     def value_and_gradient(self, x: ndarray) -> tuple[float, ndarray]:
         a, D = self.manifold.response_and_derivatives(x[None])
         b = a[0] @ self.conj_L
-        c = self.conj_L @ b.conj()  # the conjugate of LLᴴa
+        c = self.conj_L @ b.conj()  # conjugate of LLᴴa
         gradient = -2 / self.manifold.elements * (D[0] @ c).real
         away = x - self.detected
         distance = np.linalg.norm(away, axis=1)
@@ -85,7 +85,7 @@ class NumPyRLS(Problem):
 
 
 class NumPyESF(Problem):
-    """J(x) = K − tr(BᴴG⁻¹B), one Cholesky for all points."""
+    """J(x) = K − tr(BᴴG⁻¹B), computed with one batched Cholesky factorization for all points."""
 
     has_gradient = True
 
@@ -97,7 +97,7 @@ class NumPyESF(Problem):
 
     def evaluate(self, X: ndarray) -> ndarray:
         p, K, M = len(X), self.sources, self.manifold.elements
-        A = respond(self.manifold, X.reshape(-1, self.manifold.dimension))  # one response a row
+        A = respond(self.manifold, X.reshape(-1, self.manifold.dimension))  # one response per row
         B = (A @ self.conj_U_s).conj()
         _, W = whiten(A.reshape(p, K, M), B.reshape(p, K, K))
         return np.maximum(K - np.sum(W.real**2 + W.imag**2, axis=(0, 2)), 0.0)
@@ -112,7 +112,10 @@ class NumPyESF(Problem):
 
 
 def whiten(A: ndarray, B: ndarray) -> tuple[ndarray, ndarray]:
-    """L (K, K, p) and W = L⁻¹B (K, p, K) with G = AᴴA = LLᴴ, pivots of at least RIDGE·M; A (p, K, M), B (p, K, K)."""
+    """Return L (K, K, p) and W = L⁻¹B (K, p, K) with G = AᴴA = LLᴴ; A is (p, K, M), B is (p, K, K).
+
+    Pivots are at least RIDGE·M.
+    """
     p, K, M = A.shape
     L = np.zeros((K, K, p), dtype=np.complex128)
     W = np.empty((K, p, B.shape[2]), dtype=np.complex128)

@@ -1,4 +1,4 @@
-"""What stands between an optimizer and the objective, here and elsewhere, in µs an evaluation."""
+"""Overhead between optimizer and objective, in nfbench and in other libraries, in µs per evaluation."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ POPULATION = 120
 
 
 class Watched(Problem):
-    """A problem that keeps how long its evaluations took, and how many there were."""
+    """A problem that records the total time and the number of its evaluations."""
 
     def __init__(self, problem: Problem) -> None:
         self.lower, self.upper = problem.lower, problem.upper
@@ -45,8 +45,8 @@ class Watched(Problem):
 
 
 def optimizers(problem: ESF) -> Table:
-    """The same objective driven by nfbench's solvers and by the libraries themselves."""
-    table = Table("driving ESF, n = 6", "evaluations", "objective µs", "all else µs an evaluation", "share")
+    """Measure the same objective with nfbench's solvers and with the libraries themselves."""
+    table = Table("driving ESF, n = 6", "evaluations", "objective µs", "overhead µs per evaluation", "share")
     box = list(zip(problem.lower, problem.upper, strict=True))
 
     def through(solver: Solver) -> Callable[[Watched], object]:
@@ -96,7 +96,7 @@ def optimizers(problem: ESF) -> Table:
 
 
 class Free(Problem):
-    """Costs nothing, so that what is left is what surrounds it."""
+    """A problem whose evaluation costs almost nothing, so that the overhead remains."""
 
     def __init__(self, n: int) -> None:
         self.lower, self.upper = np.full(n, -5.0), np.full(n, 5.0)
@@ -109,7 +109,7 @@ class Free(Problem):
 
 
 class Counter:
-    """The least that a meter in Python must do: count, stop, keep the best."""
+    """The minimum that a meter in Python must do: count, stop, and keep the best value."""
 
     def __init__(self, value: Callable[[np.ndarray], float]) -> None:
         self.value, self.evaluations, self.best = value, 0, math.inf
@@ -125,12 +125,12 @@ class Counter:
 
 
 def wrappers() -> Table:
-    """One call of a function that costs nothing, through what benchmarks put around it."""
-    table = Table("a free function, n = 2, one point", "µs a call")
+    """Measure one call of a function that costs almost nothing, through the wrappers of several benchmarks."""
+    table = Table("a free function, n = 2, one point", "µs per call")
     free, x = Free(2), np.array([0.1, 0.2])
     calls: dict[str, Callable[[], object]] = {"bare": lambda: free.value(x)}
     counter, meter = Counter(free.value), MeteredProblem(free, Budget(evaluations=10**9))
-    calls["a counter in Python that checks nothing"] = lambda: counter(x)
+    calls["a Python counter without checks"] = lambda: counter(x)
     calls["nfbench's meter: count, budget, bounds, best, trace"] = lambda: meter(x)
     missing = []
     try:

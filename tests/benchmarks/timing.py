@@ -1,4 +1,4 @@
-"""Timing of calls, in turn or by themselves."""
+"""Timing of single calls, and of several calls alternately."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ ROUNDS = 31
 
 
 def seconds(call: Callable[[], object], number: int) -> float:
-    """The mean time of a call [s]."""
+    """Return the mean time of ``number`` calls [s]."""
     start = time.perf_counter()
     for _ in range(number):
         call()
@@ -18,17 +18,17 @@ def seconds(call: Callable[[], object], number: int) -> float:
 
 
 def in_turn(calls: list[Callable[[], object]], numbers: list[int], rounds: int = ROUNDS) -> list[list[float]]:
-    """Times [s] of each call, one list a call, one entry a round."""
+    """Return the times [s] of calls made alternately: one list per call, with one entry per round."""
     timed = [[seconds(c, n) for c, n in zip(calls, numbers, strict=True)] for _ in range(rounds)]
     return [list(times) for times in zip(*timed, strict=True)]
 
 
 def ratio(slow: list[float], fast: list[float]) -> float:
-    """The median over rounds of how many times faster."""
+    """Return the median over rounds of the ratio of two times."""
     return statistics.median(s / f for s, f in zip(slow, fast, strict=True))
 
 
 def best_seconds(call: Callable[[], object], rounds: int = 7, least: float = 0.01) -> float:
-    """The time of a call [s]: the least of several means, each over ``least`` seconds or more."""
+    """Return the time of a call [s]: the smallest of several means, each over at least ``least`` seconds."""
     number = max(1, int(least / max(seconds(call, 1), 1e-9)))
     return min(seconds(call, number) for _ in range(rounds))

@@ -1,4 +1,4 @@
-"""The meter counts every evaluation, never makes one beyond the budget, and keeps the best point."""
+"""Tests that the meter counts every evaluation, makes none beyond the budget, and keeps the best point."""
 
 import math
 
@@ -12,7 +12,7 @@ from nfbench.core.trace import MAX_ROWS
 
 
 class Counted(Problem):
-    """Values handed out in order of evaluation, with a counter of its own."""
+    """A problem that returns the given values in order and counts its evaluations."""
 
     def __init__(self, values=None, n=2):
         self.lower, self.upper = np.full(n, -1.0), np.full(n, 1.0)
@@ -28,7 +28,7 @@ def metered(values=None, n=2, **budget):
     return problem, MeteredProblem(problem, Budget(**(budget or {"evaluations": 1000})))
 
 
-def test_a_batch_across_the_budget_is_cut_and_evaluated_up_to_it():
+def test_a_batch_beyond_the_budget_is_truncated():
     problem, meter = metered(values=[5.0, 4.0, 3.0, 2.0, 1.0], evaluations=4)
     meter.evaluate(np.zeros((3, 2)))
     assert meter.remaining == 1
@@ -36,13 +36,13 @@ def test_a_batch_across_the_budget_is_cut_and_evaluated_up_to_it():
         meter.evaluate(np.zeros((2, 2)))
     assert problem.count == meter.evaluations == 4
     assert meter.best_value == 2.0
-    for ask in (lambda: meter(np.zeros(2)), lambda: meter.evaluate(np.zeros((1, 2)))):
+    for call in (lambda: meter(np.zeros(2)), lambda: meter.evaluate(np.zeros((1, 2)))):
         with pytest.raises(BudgetExhausted):
-            ask()
+            call()
     assert problem.count == 4
 
 
-def test_a_batch_that_just_fits_is_returned_and_the_next_call_ends():
+def test_a_batch_that_uses_the_whole_budget_is_returned_and_the_next_call_raises():
     problem, meter = metered(evaluations=3)
     assert len(meter.evaluate(np.zeros((3, 2)))) == 3
     with pytest.raises(BudgetExhausted):
@@ -51,16 +51,16 @@ def test_a_batch_that_just_fits_is_returned_and_the_next_call_ends():
 
 
 @given(st.lists(st.lists(st.floats(-1, 1), max_size=7), max_size=12), st.integers(1, 30))
-def test_count_and_best_equal_a_plain_account(batches, limit):
+def test_count_and_best_value_equal_a_plain_computation(batches, limit):
     problem, meter = metered(n=1, evaluations=limit)
-    asked = []
+    points = []
     try:
         for batch in batches:
-            asked += batch
+            points += batch
             meter.evaluate(np.array(batch).reshape(-1, 1))
     except BudgetExhausted:
         pass
-    done = asked[:limit]
+    done = points[:limit]
     assert meter.evaluations == problem.count == len(done)
     assert meter.best_value == (min(x * x for x in done) if done else math.inf)
     values, best = meter.trace.values, math.inf
@@ -72,7 +72,7 @@ def test_count_and_best_equal_a_plain_account(batches, limit):
 
 
 @given(st.lists(st.floats(-1, 1), min_size=1, max_size=20), st.integers(1, 20))
-def test_batches_and_single_points_give_one_trace(points, size):
+def test_batches_and_single_points_give_the_same_trace(points, size):
     _, single = metered(n=1)
     _, batched = metered(n=1)
     for x in points:
@@ -83,7 +83,7 @@ def test_batches_and_single_points_give_one_trace(points, size):
         np.testing.assert_array_equal(getattr(single.trace, name), getattr(batched.trace, name))
 
 
-def test_the_trace_stays_under_a_thousand_rows_with_the_first_and_the_last():
+def test_the_trace_has_fewer_than_a_thousand_rows_including_the_first_and_the_last():
     values = [1e6 / (i + 1) for i in range(20_000)] + [1e9]
     _, meter = metered(values=values, evaluations=30_000)
     for start in range(0, len(values), 97):
@@ -108,7 +108,7 @@ def test_the_best_point_is_a_copy_that_the_solver_cannot_change():
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
-def test_a_value_that_is_not_finite_is_counted_and_never_the_best(bad):
+def test_a_nonfinite_value_is_counted_and_never_becomes_the_best(bad):
     _, meter = metered(values=[bad, 3.0, bad, 2.0, bad])
     assert meter(np.zeros(2)) == math.inf
     assert meter.best_point is None
@@ -125,40 +125,40 @@ def test_infinities_of_both_signs_and_huge_values_in_one_batch():
 
 @pytest.mark.parametrize("x", [[1.0000000001, 0], [0, -1.1], [math.nan, 0], [math.inf, 0]])
 @pytest.mark.parametrize("n", [2, 40])
-def test_a_point_outside_the_box_is_refused_and_not_evaluated(x, n):
+def test_a_point_outside_the_box_is_rejected_and_not_evaluated(x, n):
     problem, meter = metered(n=n)
     x = np.concatenate([x, np.zeros(n - 2)])
     with pytest.raises(InvalidEvaluation, match=r"x\[\d+\]: expected a number within \[-1.0, 1.0\]|within"):
         meter(x)
     assert problem.count == meter.evaluations == 0
     assert meter.fault is not None
-    with pytest.raises(InvalidEvaluation):  # and it stays refused, even if a library swallowed the first
+    with pytest.raises(InvalidEvaluation):  # later calls raise too, even if a library swallowed the first exception
         meter(np.zeros(n))
     _, meter = metered(n=n)
     with pytest.raises(InvalidEvaluation):
         meter.evaluate(np.array([np.zeros(n), x]))
 
 
-def test_the_edges_of_the_box_belong_to_it():
+def test_points_on_the_edges_of_the_box_are_accepted():
     _, meter = metered()
     assert meter(np.array([1.0, -1.0])) == 2.0
 
 
 @pytest.mark.parametrize("x", [np.zeros(3), np.zeros((1, 2)), np.float64(0.0)])
-def test_a_point_of_another_shape_is_refused(x):
+def test_a_point_of_the_wrong_shape_is_rejected(x):
     _, meter = metered()
     with pytest.raises(InvalidEvaluation, match=r"expected a point of shape \(2,\)"):
         meter(x)
 
 
 @pytest.mark.parametrize("X", [np.zeros(2), np.zeros((4, 3)), np.zeros((1, 1, 2))])
-def test_a_batch_of_another_shape_is_refused(X):
+def test_a_batch_of_the_wrong_shape_is_rejected(X):
     _, meter = metered()
     with pytest.raises(InvalidEvaluation, match=r"expected a batch of shape \(p, 2\)"):
         meter.evaluate(X)
 
 
-def test_a_problem_that_returns_the_wrong_shape_is_named():
+def test_the_error_names_a_problem_that_returns_the_wrong_shape():
     _, meter = metered(values=[1.0])
     with pytest.raises(InvalidEvaluation, match=r"the problem: expected values of shape \(3,\), got \(1,\)"):
         meter.evaluate(np.zeros((3, 2)))
@@ -173,14 +173,14 @@ def test_the_target_ends_the_run_after_the_evaluation_that_reaches_it():
     assert problem.count == 2
 
 
-def test_the_seconds_end_the_run():
+def test_the_time_limit_ends_the_run():
     _, meter = metered(seconds=1e-9)
     with pytest.raises(BudgetExhausted):
         meter(np.zeros(2))
     assert meter.evaluations == 0
 
 
-def test_a_gradient_is_counted_once_and_refused_where_there_is_none():
+def test_a_gradient_counts_as_one_evaluation_and_is_an_error_if_the_problem_has_none():
     class Parabola(Counted):
         has_gradient = True
 
@@ -201,7 +201,7 @@ def test_a_gradient_is_counted_once_and_refused_where_there_is_none():
 
 
 @given(st.integers(0, 2**32))
-def test_the_unit_box_maps_into_the_box_and_back(seed):
+def test_points_map_from_the_unit_box_to_the_box_and_back(seed):
     rng = np.random.default_rng(seed)
     problem = Counted(n=3)
     problem.lower = rng.normal(size=3) * 10.0 ** rng.integers(-8, 8)
@@ -213,8 +213,8 @@ def test_the_unit_box_maps_into_the_box_and_back(seed):
         np.testing.assert_allclose(meter.to_unit(X), U, atol=1e-6)
 
 
-def test_a_budget_needs_a_limit_and_a_problem_a_box():
-    with pytest.raises(OptionError, match="expected a limit in evaluations or in seconds, got neither"):
+def test_a_budget_without_a_limit_and_a_problem_with_an_empty_box_are_errors():
+    with pytest.raises(OptionError, match="expected a limit on evaluations or seconds, got neither"):
         Budget(target=1.0)
     with pytest.raises(OptionError, match="evaluations: expected greater than or equal to 1, got 0"):
         Budget(evaluations=0)

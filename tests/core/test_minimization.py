@@ -1,4 +1,4 @@
-"""minimize() turns whatever a solver does into a Minimum with a status."""
+"""Tests that minimize() returns a Minimum with the right status, whatever the solver does."""
 
 import contextlib
 import math
@@ -25,7 +25,7 @@ class Nowhere(Sphere):
 
 @dataclass(frozen=True)
 class Does(Solver):
-    """Does what it is told."""
+    """Behaves as the option ``what`` says."""
 
     info = SolverInfo()
     what: str = ""
@@ -68,23 +68,23 @@ class NeedsGradient(Solver):
         ("nothing", Status.FAILED, 0, "Does returned without evaluating a point"),
     ],
 )
-def test_each_ending_has_its_status(what, status, evaluations, message):
+def test_each_way_to_end_has_its_status(what, status, evaluations, message):
     found = minimize(Sphere(), Does(what), 100)
     assert (found.status, found.evaluations) == (status, evaluations)
     assert found.message.startswith(message)
 
 
-def test_no_finite_value_is_invalid():
+def test_a_minimization_without_a_finite_value_is_invalid():
     found = minimize(Nowhere(), Does("forever"), 7)
     assert (found.status, found.message) == (Status.INVALID, "none of 7 evaluations gave a finite value")
     assert np.isnan(found.x).all() and found.nonfinite == 7
 
 
-def test_a_solver_that_needs_a_gradient_is_skipped_without_one():
+def test_a_solver_that_needs_a_gradient_is_skipped_if_the_problem_has_none():
     assert minimize(Sphere(), NeedsGradient(), 5).status is Status.SKIPPED
 
 
-def test_the_seed_makes_the_result():
+def test_the_seed_determines_the_result():
     a, b, c = (minimize(Sphere(), Does("forever"), Budget(evaluations=50), seed) for seed in (1, 1, 2))
     assert a.x.tolist() == b.x.tolist() != c.x.tolist()
     assert a.value == float((a.x**2).sum())

@@ -1,4 +1,4 @@
-"""Options are checked when made, and every error names the option, what was expected and what came."""
+"""Tests that options are checked on construction and that errors name the option and both values."""
 
 import functools
 from dataclasses import dataclass, field
@@ -39,13 +39,13 @@ class Sample(Options):
             raise ValueError(f"start: expected less than stop = {self.stop}, got {self.start}")
 
 
-def test_lists_become_tuples_and_integers_floats():
+def test_lists_become_tuples_and_integers_become_floats():
     made = build(Sample, {"snr": [10, 20.5], "F": 1, "array": {"kind": "ring", "radius": 2, "tilt": [1, 2]}})
     assert made == Sample(snr=(10.0, 20.5), F=1.0, array=Ring(2.0, (1.0, 2.0)))
     assert type(made.F) is float and hash(made) == hash(made)
 
 
-def test_canonical_data_holds_every_default_and_makes_the_same_again():
+def test_canonical_data_contains_every_default_and_can_be_built_again():
     made = Sample(array=Ring(1.0))
     plain = canonical(made)
     assert plain["array"] == {"kind": "ring", "radius": 1.0, "tilt": [0.0, 0.0]}
@@ -53,19 +53,22 @@ def test_canonical_data_holds_every_default_and_makes_the_same_again():
     assert canonical(build(Sample, {"snr": 20})) == canonical(Sample())
 
 
-def test_without_defaults_canonical_data_is_what_was_chosen():
+def test_without_defaults_canonical_data_contains_only_what_was_chosen():
     plain = functools.partial(canonical, defaults=False)
     assert plain(build(Sample, {"snr": 20, "array": {"kind": "line", "elements": 8}})) == {}
     assert plain(Sample(size=51, start=1.0)) == {"size": 51, "start": 1.0}
     assert plain(Sample(array=Line(9))) == {"array": {"kind": "line", "elements": 9}}
-    assert plain(Sample(array=Ring(1.0))) == {"array": {"kind": "ring", "radius": 1.0}}  # no default: always told
+    assert plain(Sample(array=Ring(1.0))) == {"array": {"kind": "ring", "radius": 1.0}}  # has no default
 
 
 @pytest.mark.parametrize(
     ("options", "expected"),
     [
         ({"sise": 5}, [("sise", 'unknown option; did you mean "size"?')]),
-        ({"depth": 5}, [("depth", "is no option yet: give depth in class Sample a type, as in `depth: float = 0.5`")]),
+        (
+            {"depth": 5},
+            [("depth", "is not a dataclass field: give depth in class Sample a type, as in `depth: float = 0.5`")],
+        ),
         ({"size": 3}, [("size", "expected greater than or equal to 4, got 3")]),
         ({"size": 5.0}, [("size", "expected integer, got 5.0")]),
         ({"size": True}, [("size", "expected integer, got True")]),
@@ -81,24 +84,24 @@ def test_without_defaults_canonical_data_is_what_was_chosen():
         ({"start": 2.0, "stop": 1.0}, [("", "start: expected less than stop = 1.0, got 2.0")]),
     ],
 )
-def test_each_mistake_is_named(options, expected):
+def test_each_error_names_the_option_and_both_values(options, expected):
     with pytest.raises(OptionError) as caught:
         build(Sample, options)
     assert caught.value.problems == expected
 
 
-def test_all_mistakes_come_at_once():
+def test_all_errors_are_reported_at_once():
     with pytest.raises(OptionError) as caught:
         build(Sample, {"size": 1, "F": "x", "ruel": "clip", "array": {"kind": "line", "elements": 0}})
     assert [path for path, _ in caught.value.problems] == ["ruel", "size", "F", "array.elements"]
 
 
-def test_making_one_directly_is_checked_alike():
+def test_direct_construction_is_checked_too():
     with pytest.raises(OptionError, match="Sample: size: expected greater than or equal to 4, got 1"):
         Sample(size=1)
 
 
-def test_a_file_is_found_beside_the_manifest(tmp_path):
+def test_a_file_is_resolved_relative_to_the_manifest(tmp_path):
     @dataclass(frozen=True)
     class Reader(Options):
         file: FilePath
@@ -112,7 +115,7 @@ def test_a_file_is_found_beside_the_manifest(tmp_path):
         Reader("data.csv")
 
 
-def test_one_of_several_may_share_a_base_of_options():
+def test_the_classes_of_one_of_may_share_a_base_class():
     @dataclass(frozen=True)
     class Shape(Options): ...
 
@@ -132,7 +135,7 @@ class Nested(Options):
     line: Line = Line()  # frozen
 
 
-def test_a_field_of_options_takes_their_table():
+def test_a_field_of_an_options_class_accepts_a_table():
     made = build(Nested, {"line": {"elements": 3}})
     assert made == Nested(line=Line(3)) and made.line.elements == 3
     assert build(Nested, {}) == Nested()
@@ -147,7 +150,7 @@ def test_a_field_of_options_takes_their_table():
         (3, ("line", "expected a table (elements), got 3")),
     ],
 )
-def test_a_wrong_table_is_told_with_its_path(line, expected):
-    with pytest.raises(OptionError) as refused:
+def test_an_invalid_table_is_reported_with_its_path(line, expected):
+    with pytest.raises(OptionError) as caught:
         build(Nested, {"line": line})
-    assert refused.value.problems == [expected]
+    assert caught.value.problems == [expected]

@@ -1,4 +1,4 @@
-"""nfbench new writes files that pass their own checks and tests; nfbench check survives what hangs or crashes."""
+"""``nfbench new`` writes files that pass their checks and tests; ``nfbench check`` survives hangs and crashes."""
 
 import subprocess
 import sys
@@ -13,7 +13,7 @@ from nfbench import Solver, SolverInfo
 
 @dataclass(frozen=True)
 class Waits(Solver):
-    \"\"\"Waits for two points that differ in value. crash: end Python instead of waiting.\"\"\"
+    \"\"\"Waits for two points with different values. crash: whether to end the process instead of waiting.\"\"\"
     info = SolverInfo(global_search=False, converges=False)
     crash: bool = False
 
@@ -40,7 +40,7 @@ def test_a_new_plugin_passes_its_checks_and_its_tests(kind, tmp_path):
 
 
 @pytest.mark.parametrize("kind", ["solver", "problem"])
-def test_what_it_writes_is_clean(kind, tmp_path):
+def test_the_files_written_have_no_placeholders_and_no_long_lines(kind, tmp_path):
     nfbench("new", kind, "my-own", "--out", "other.py", cwd=tmp_path)
     for text in ((tmp_path / name).read_text() for name in ("other.py", "test_other.py")):
         assert "{" not in text.replace("{{", "") or 'f"' in text or '{"' in text
@@ -51,15 +51,15 @@ def test_what_it_writes_is_clean(kind, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["solver", "de"], "name: 'de' is a solver of nfbench"),
-        (["problem", "near-field"], "name: 'near-field' is a scenario of nfbench"),
+        (["solver", "de"], "name: expected a new name, got 'de', which is a solver of nfbench"),
+        (["problem", "near-field"], "name: expected a new name, got 'near-field', which is a scenario of nfbench"),
         (["solver", "MySolver"], "name: expected lower-case words joined by hyphens, e.g. my-solver, got 'MySolver'"),
         (["solver", "mine", "--out", "mine.txt"], "--out: expected a Python file like my_solver.py, got mine.txt"),
         (["solver", "mine", "--out", "no/mine.py"], "--out: expected an existing folder, got no"),
-        (["solver", "taken"], "taken.py exists already and is left as it is"),
+        (["solver", "taken"], "taken.py already exists and was not changed"),
     ],
 )
-def test_what_cannot_be_written_is_told(arguments, message, tmp_path):
+def test_new_reports_why_it_writes_nothing(arguments, message, tmp_path):
     (tmp_path / "taken.py").write_text("mine")
     done = nfbench("new", *arguments, cwd=tmp_path)
     assert done.returncode == 2 and message in done.stderr and "Traceback" not in done.stderr
@@ -67,22 +67,22 @@ def test_what_cannot_be_written_is_told(arguments, message, tmp_path):
     assert (tmp_path / "taken.py").read_text() == "mine"
 
 
-def test_a_check_that_hangs_is_stopped_and_the_others_go_on(tmp_path):
+def test_a_check_that_hangs_is_stopped_and_the_others_continue(tmp_path):
     (tmp_path / "waits.py").write_text(BROKEN)
     done = nfbench("check", "solver", "waits.py", "--timeout", 5, cwd=tmp_path)
     lines = {line.split()[1].rstrip(":"): line for line in done.stdout.splitlines()[1:]}
     assert done.returncode == 1 and len(lines) == 18
     assert {name for name, line in lines.items() if "FAIL" in line} == {"nan-plateau", "constant", "quiet"}
-    assert "expected an end within 5 s, got none. Ask problem.evaluate" in lines["nan-plateau"]
+    assert "expected the check to end within 5 s, got no result. Call problem.evaluate" in lines["nan-plateau"]
     assert lines["constant"].endswith("constant: the same as in nan-plateau")
 
 
-def test_a_check_that_crashes_costs_itself_alone(tmp_path):
+def test_a_check_that_crashes_does_not_affect_the_others(tmp_path):
     (tmp_path / "waits.py").write_text(BROKEN)
     done = nfbench("check", "solver", "waits.py", "--option", "crash=true", cwd=tmp_path)
     failed = [line for line in done.stdout.splitlines() if "FAIL" in line]
     assert done.returncode == 1 and len(failed) == 3
-    assert "expected its process to survive, got its end by exit code 7" in failed[0]
+    assert "expected the process of the check to stay alive, got its end by exit code 7" in failed[0]
     assert {line.partition(": ")[2] for line in failed[1:]} == {"the same as in nan-plateau"}
 
 
@@ -96,20 +96,20 @@ def test_a_check_that_crashes_costs_itself_alone(tmp_path):
         (["problem", "no.toml"], "cannot be read: No such file"),
     ],
 )
-def test_what_cannot_be_checked_is_told(arguments, message, tmp_path):
+def test_check_reports_invalid_arguments(arguments, message, tmp_path):
     done = nfbench("check", *arguments, cwd=tmp_path)
     assert done.returncode == 2 and message in done.stderr.replace("\n", " "), done.stderr
 
 
-def test_a_forgotten_dataclass_is_told_as_such(tmp_path, manifest):
+def test_a_missing_dataclass_decorator_is_reported(tmp_path, manifest):
     text = BROKEN.replace("@dataclass(frozen=True)\n", "")
     (tmp_path / "forgot.py").write_text(text)
     done = nfbench("check", "solver", "forgot.py", cwd=tmp_path)
     assert done.returncode == 2
-    assert "crash: is no option yet: put @dataclass(frozen=True) above class Waits" in done.stderr
+    assert "crash: is not a dataclass field: put @dataclass(frozen=True) above class Waits" in done.stderr
     study = manifest(
         '[[formulation]]\nkind = "once"\n[[solver]]\nkind = "waits"\ncrash = true\n[budget]\nevaluations = 9',
         plugins=[tmp_path / "forgot.py"],
     )
     done = nfbench("run", study, cwd=tmp_path)
-    assert "solver[0].crash: is no option yet: put @dataclass(frozen=True) above class Waits" in done.stderr
+    assert "solver[0].crash: is not a dataclass field: put @dataclass(frozen=True) above class Waits" in done.stderr

@@ -1,4 +1,4 @@
-"""BBOB by coco and by ioh: against the definitions, and against each other."""
+"""BBOB from coco and from ioh, compared with the definitions and with each other."""
 
 import importlib.util
 import pickle
@@ -16,8 +16,8 @@ from nfbench.testing import check_scenario
 
 INSTALLED = {backend: importlib.util.find_spec(module) is not None for backend, module in MODULES.items()}
 BACKENDS = [
-    pytest.param(backend, marks=pytest.mark.skipif(not there, reason=f"pip install 'nfbench[{backend}]'"))
-    for backend, there in INSTALLED.items()
+    pytest.param(backend, marks=pytest.mark.skipif(not installed, reason=f"pip install 'nfbench[{backend}]'"))
+    for backend, installed in INSTALLED.items()
 ]
 both = pytest.mark.skipif(not all(INSTALLED.values()), reason="pip install 'nfbench[coco,ioh]'")
 each_backend = pytest.mark.parametrize("backend", BACKENDS)
@@ -27,7 +27,7 @@ each_backend = pytest.mark.parametrize("backend", BACKENDS)
 
 
 def oscillated(x):
-    """T_osz."""
+    """Return T_osz(x)."""
     size = np.log(np.abs(x, where=x != 0.0, out=np.ones_like(x)))
     c1, c2 = np.where(x > 0.0, 10.0, 5.5), np.where(x > 0.0, 7.9, 3.1)
     return np.sign(x) * np.exp(size + 0.049 * (np.sin(c1 * size) + np.sin(c2 * size)))
@@ -61,7 +61,7 @@ def rosenbrock(shift):
 @each_backend
 @pytest.mark.parametrize(("function", "formula"), [(1, sphere), (2, ellipsoid), (3, rastrigin), (8, rosenbrock)])
 @pytest.mark.parametrize("n", [2, 5, 40])
-def test_functions_without_rotation_are_as_defined(backend, function, formula, n):
+def test_functions_without_rotation_agree_with_their_definition(backend, function, formula, n):
     for instance in (1, 2, 777):
         problem = BBOBProblem(backend, function, n, instance)
         X = np.random.default_rng(n).uniform(-5.0, 5.0, (100, n))
@@ -70,8 +70,8 @@ def test_functions_without_rotation_are_as_defined(backend, function, formula, n
 
 @each_backend
 @pytest.mark.parametrize("function", range(1, 25))
-def test_the_minimum_is_where_the_instance_says(backend, function):
-    """Its gap is 0, that of points around it and of the box is not, and they are no lower."""
+def test_the_minimum_is_at_the_stated_optimum(backend, function):
+    """The gap is 0 at the optimum and positive at other points, none of which has a lower value."""
     rng = np.random.default_rng(function)
     for n, number in ((2, 1), (5, 2), (10, 1000)):
         instance = BBOB(function, n, number, backend).draw(rng)
@@ -87,7 +87,7 @@ def test_the_minimum_is_where_the_instance_says(backend, function):
 
 @pytest.mark.skipif(not INSTALLED["coco"], reason="pip install 'nfbench[coco]'")
 def test_published_values():
-    """The sphere at 0, as COCO's own documentation prints it: in 13 unknowns."""
+    """The value of the sphere with 13 unknowns at 0 is printed in COCO's documentation."""
     assert_allclose(BBOBProblem("coco", 1, 13, 1).evaluate(np.zeros((1, 13))), 124.61122368, rtol=1e-14)
 
 
@@ -97,7 +97,7 @@ def test_published_values():
 @both
 @pytest.mark.parametrize("function", range(1, 25))
 def test_coco_and_ioh_agree(function):
-    """To 1e-11 of the gap, at random points of the box and nearer to x_opt; f_opt and x_opt to 1e-9."""
+    """The gaps agree to 1e-11 at random points of the box and near x_opt, f_opt to 1e-13 and x_opt to 1e-9."""
     rng = np.random.default_rng(function)
     for n in (2, 5):
         for instance in (1, 2, 3):
@@ -111,8 +111,8 @@ def test_coco_and_ioh_agree(function):
 
 
 @both
-def test_where_they_differ():
-    """Function 7 on its lowest step: by definition |ẑ_1|/10⁵, the first row of ẑ being a unit vector; flat in ioh."""
+def test_coco_and_ioh_differ_on_the_lowest_step_of_function_7():
+    """By definition f - f_opt is |ẑ_1|/10⁵ there, where ẑ_1 is the product with a unit vector; it is 0 in ioh."""
     rng = np.random.default_rng(7)
     for n, instance in ((2, 1), (5, 2)):
         coco, ioh = (BBOBProblem(backend, 7, n, instance) for backend in ("coco", "ioh"))
@@ -129,7 +129,7 @@ def test_where_they_differ():
 
 
 @each_backend
-def test_the_scenario_keeps_its_contract(backend, tmp_path, monkeypatch, capfd):
+def test_the_scenario_passes_the_conformance_checks(backend, tmp_path, monkeypatch, capfd):
     monkeypatch.chdir(tmp_path)
     for function in (1, 7, 20, 24):
         check_scenario(BBOB(function=function, dimension=3, backend=backend), [Direct()])
@@ -137,7 +137,7 @@ def test_the_scenario_keeps_its_contract(backend, tmp_path, monkeypatch, capfd):
 
 
 @each_backend
-def test_the_draw_is_the_generators_and_its_number_is_cocos(backend):
+def test_a_draw_depends_only_on_the_generator_and_uses_the_instance_numbers_of_coco(backend):
     scenario = BBOB(function=15, dimension=3, backend=backend)
 
     def optima(scenario):
@@ -172,16 +172,16 @@ def test_a_solver_finds_the_minimum(backend):
         ({"backend": "cocoex"}, "backend: expected 'coco' or 'ioh', got 'cocoex'"),
     ],
 )
-def test_what_the_suite_does_not_have_is_refused(options, words):
+def test_options_outside_the_suite_are_refused(options, words):
     with pytest.raises(OptionError, match=words):
         BBOB(**options)
 
 
 @pytest.mark.parametrize("backend", MODULES)
-def test_without_its_library_it_says_how_to_install_it(backend, monkeypatch, tmp_path):
+def test_a_missing_library_is_reported_with_the_install_command(backend, monkeypatch, tmp_path):
     present = ({*MODULES} - {backend}).pop()
     monkeypatch.setattr(importlib.util, "find_spec", lambda module: object() if module == MODULES[present] else None)
-    words = f"scenario bbob needs {MODULES[backend]}, not installed here: pip install 'nfbench[{backend}]'"
+    words = f"scenario bbob needs {MODULES[backend]}, which is not installed here: pip install 'nfbench[{backend}]'"
     with pytest.raises(MissingExtra) as caught:
         Registry().make("scenario", "bbob", {"backend": backend})
     assert str(caught.value) == words

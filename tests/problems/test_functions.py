@@ -1,3 +1,5 @@
+"""Test functions: values, gradients, minima, and the random shift and rotation."""
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
@@ -53,7 +55,7 @@ def test_the_optimum_is_inside_the_box_with_value_and_gradient_zero(name, shifte
     ("name", "n"), [(name, n) for name in NAMES for n in (1, 2, 6) if (name, n) != ("rosenbrock", 1)]
 )
 @pytest.mark.parametrize(("shifted", "rotated"), VARIANTS)
-def test_no_point_of_the_box_lies_below_the_optimum(name, shifted, rotated, n):
+def test_no_point_of_the_box_has_a_value_below_the_optimum(name, shifted, rotated, n):
     rng = np.random.default_rng(n)
     for seed in range(5):
         problem = drawn(name, n, shifted, rotated, seed)
@@ -68,7 +70,7 @@ def test_no_point_of_the_box_lies_below_the_optimum(name, shifted, rotated, n):
 
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize(("shifted", "rotated"), VARIANTS)
-def test_gradient_is_that_of_central_differences(name, shifted, rotated):
+def test_gradient_agrees_with_central_differences(name, shifted, rotated):
     problem = drawn(name, 4, shifted, rotated)
     rng = np.random.default_rng(3)
     width = problem.upper - problem.lower
@@ -82,7 +84,7 @@ def test_gradient_is_that_of_central_differences(name, shifted, rotated):
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_moving_and_turning_change_the_place_and_not_the_function(name):
+def test_shift_and_rotation_move_the_function_without_changing_it(name):
     n = 3
     plain, moved = drawn(name, n, False, False), drawn(name, n, True, True, seed=4)
     z = np.random.default_rng(0).uniform(plain.lower, plain.upper, (100, n))
@@ -100,10 +102,10 @@ def test_schwefel_beyond_its_domain_rises_above_its_edge():
     assert (outside > 0).all()
 
 
-def test_a_draw_is_a_function_of_the_generator_and_switches_are_independent():
-    first, again = drawn("ackley", seed=8), drawn("ackley", seed=8)
-    assert_array_equal(first.optimum, again.optimum)
-    assert_array_equal(first.rotation, again.rotation)
+def test_a_draw_depends_only_on_the_generator_and_shift_and_rotation_are_independent():
+    first, second = drawn("ackley", seed=8), drawn("ackley", seed=8)
+    assert_array_equal(first.optimum, second.optimum)
+    assert_array_equal(first.rotation, second.rotation)
     assert_array_equal(drawn("ackley", rotated=False, seed=8).optimum, first.optimum)
     assert_array_equal(drawn("ackley", shifted=False, seed=8).rotation, first.rotation)
     assert not np.allclose(drawn("ackley", seed=9).optimum, first.optimum)
@@ -122,14 +124,14 @@ def test_scores_are_the_gap_and_the_relative_distance():
 
 def test_direct_minimizes_the_instances_problem_once():
     instance = Functions(function="rastrigin", dimension=2).draw(np.random.default_rng(1))
-    asked = []
+    problems = []
 
     def solve(problem):
-        asked.append(problem)
+        problems.append(problem)
         return minimize(problem, DE(), Budget(evaluations=8000), 0)
 
     estimate = Direct().solve(instance, solve)
-    assert asked == [instance.problem]
+    assert problems == [instance.problem]
     assert instance.score(estimate)["gap"] < 1e-8
     assert issubclass(Functions.instance, Direct.accepts) and Functions.instance is type(instance)
 

@@ -1,4 +1,4 @@
-"""Problems that several test modules of this folder minimize."""
+"""Problems that several test modules of this folder use."""
 
 import numpy as np
 
@@ -6,7 +6,7 @@ from nfbench import Problem
 
 
 class Formula(Problem):
-    """A formula over a box, given as a function of a batch; keeps the points it was asked for."""
+    """A problem given by a formula for a batch and by its bounds; it records the evaluated points."""
 
     def __init__(self, formula, lower, upper):
         self.formula = formula
@@ -28,12 +28,12 @@ def bowl(n=2, at=0.3):
 
 
 def ramp(n=2):
-    """Falls towards the upper corner of [-1, 2]ⁿ."""
+    """A plane that falls towards the upper corner of [-1, 2]ⁿ."""
     return Formula(lambda X: -X.sum(axis=1), -np.ones(n), 2 * np.ones(n))
 
 
 def two_valleys(n=2, width=0.1):
-    """A wide valley of depth -1 at -0.5 and one of depth -2 and this width at 0.7, over [-1, 1]ⁿ."""
+    """A wide valley of depth 1 at -0.5 and a valley of depth 2 and the given width at 0.7, over [-1, 1]ⁿ."""
 
     def formula(X):
         wide = np.exp(-((X + 0.5) ** 2).sum(axis=1) / 0.5)

@@ -1,9 +1,11 @@
-"""Notes the evaluations to a target of mealpy's JADE and SHADE in mealpy_hits.json, for test_independent.py.
+"""Record the numbers of evaluations that mealpy's JADE and SHADE need to reach a target, for test_independent.py.
+
+The results are written to mealpy_hits.json. Run in a separate environment, because mealpy requires numpy <= 1.26:
 
     pip install mealpy==3.0.3 coco-experiment==2.8.2 && python tests/solvers/mealpy_hits.py
 
-in an environment of its own (mealpy wants numpy <= 1.26); a quarter of an hour. mealpy's SHADE archives the trial
-vector where the paper archives the parent it replaces; this is mended first.
+This takes about 15 minutes. mealpy's SHADE archives the trial vector, whereas the paper archives the parent that it
+replaces; the script fixes this first.
 """
 
 import inspect
@@ -29,7 +31,7 @@ def rastrigin(z):
 
 
 def bbob(function, n, instance):
-    """f - f_opt."""
+    """Return the function f - f_opt."""
     problem = BareProblem("bbob", function, n, instance)
     return lambda x: float(problem(x)) - problem.best_value()
 
@@ -43,10 +45,10 @@ TASKS = {  # function, unknowns, half the box, target, budget
 
 
 class Reached(Exception):
-    """The target."""
+    """Raised when the target is reached."""
 
 
-def mended_shade():
+def corrected_shade():
     source = inspect.getsource(SHADE)
     source = source[source.index("class OriginalSHADE") : source.index("class L_SHADE")]
     wrong = ["self.pop[idx] = pop[idx].copy()", "self.dyn_pop_archive.append(pop[idx].copy())"]
@@ -71,7 +73,7 @@ def hits(make, function, n, half, target, budget):
             return value
 
         box = FloatVar(lb=(-half,) * n, ub=(half,) * n)
-        np.random.seed(seed)  # noqa: NPY002 -- mealpy draws F by SciPy, from the global state
+        np.random.seed(seed)  # noqa: NPY002 -- mealpy draws F with SciPy from the global state
         optimizer = make(epoch=budget // N, pop_size=N, miu_f=0.5, miu_cr=0.5)
         try:
             optimizer.solve({"obj_func": objective, "bounds": box, "minmax": "min", "log_to": None}, seed=seed)
@@ -83,6 +85,6 @@ def hits(make, function, n, half, target, budget):
 
 if __name__ == "__main__":
     logging.disable(logging.CRITICAL)
-    makers = {"jade": partial(DE.JADE, pt=0.05, ap=0.1), "shade": mended_shade()}
-    noted = {f"{name} {task}": list(hits(make, *TASKS[task])) for name, make in makers.items() for task in TASKS}
-    (Path(__file__).parent / "mealpy_hits.json").write_text(json.dumps(noted) + "\n")
+    makers = {"jade": partial(DE.JADE, pt=0.05, ap=0.1), "shade": corrected_shade()}
+    recorded = {f"{name} {task}": list(hits(make, *TASKS[task])) for name, make in makers.items() for task in TASKS}
+    (Path(__file__).parent / "mealpy_hits.json").write_text(json.dumps(recorded) + "\n")

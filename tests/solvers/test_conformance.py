@@ -1,4 +1,4 @@
-"""Every solver of the base install passes the suite shipped to plugin authors, and its options can be written down."""
+"""Every solver of the base installation passes the conformance suite, and its options survive serialization."""
 
 from importlib.metadata import entry_points
 

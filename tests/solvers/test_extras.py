@@ -1,4 +1,4 @@
-"""Adapters of optional libraries: one not installed says so, one installed keeps the contract with its algorithms."""
+"""Adapters of optional libraries: a missing library is reported, and the algorithms of installed ones pass checks."""
 
 import importlib.util
 import subprocess
@@ -39,7 +39,7 @@ def present(name):
 
 
 def parameters():
-    """Every algorithm of every adapter; of the libraries that take a millisecond a point, most are slow tests."""
+    """Every algorithm of every adapter; most algorithms of libraries that take 1 ms per point are marked slow."""
     for name in NAMES:
         for algorithm in algorithms(name):
             marks = [pytest.mark.skipif(not present(name), reason=f"pip install 'nfbench[{name}]'")]
@@ -49,7 +49,7 @@ def parameters():
 
 
 @pytest.mark.parametrize(("name", "algorithm"), [*parameters()])
-def test_an_algorithm_keeps_budget_box_seed_and_stop(name, algorithm):
+def test_an_algorithm_passes_the_main_checks(name, algorithm):
     for result in solver_checks(nfbench.solver(name, algorithm=algorithm), only=QUICK):
         assert result.passed, f"{result.name}: {result.message}"
 
@@ -62,11 +62,11 @@ def test_the_default_algorithm_passes_every_check(name):
 
 
 @pytest.mark.parametrize(("name", "algorithm"), [*parameters()])
-def test_an_algorithm_searches_rather_than_samples(name, algorithm):
-    """After 1,500 evaluations of a sphere in 4 unknowns it is mostly lower than the best of 1,500 random points."""
+def test_an_algorithm_is_better_than_random_sampling(name, algorithm):
+    """After 1,500 evaluations of a sphere with 4 unknowns, the median result is below half the best random value."""
     exempt = algorithm in ("random", "qmc", "ScrHammersleySearch", "PGPE", "ACMA")
     if exempt or (name, algorithm) == ("nevergrad", "PSO"):
-        return  # three sample, PGPE takes longer, ACMA may stop far off, and Nevergrad's PSO sticks to the bounds
+        return  # three only sample; PGPE needs more; ACMA may stop early; Nevergrad's PSO stays at the bounds
     instance = Functions(function="sphere", dimension=4).draw(np.random.default_rng(4))
     solver = nfbench.solver(name, algorithm=algorithm)
     minima = [nfbench.minimize(instance.problem, solver, 1500, seed) for seed in range(3)]
@@ -78,7 +78,7 @@ def test_an_algorithm_searches_rather_than_samples(name, algorithm):
 def test_no_adapter_imports_its_library_before_it_runs(tmp_path):
     code = f"""
 import sys
-from nfbench.registry import Registry
+from nfbench.plugins import Registry
 registry = Registry()
 for name in {NAMES}:
     registry.find("solver", name).missing()
@@ -91,25 +91,25 @@ print([name for name in {NAMES} if name in sys.modules])
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_without_its_library_a_solver_says_how_to_install_it(name, monkeypatch):
+def test_a_missing_library_is_reported_with_the_install_command(name, monkeypatch):
     monkeypatch.setattr(importlib.util, "find_spec", lambda module: None)
     with pytest.raises(
         MissingExtra, match=rf"solver {name} needs .*not installed here: pip install 'nfbench\[{name}\]'"
     ):
         nfbench.solver(name)
     with pytest.raises(OptionError, match="popularity: unknown option"):
-        nfbench.solver(name, popularity=3)  # the options are checked all the same
+        nfbench.solver(name, popularity=3)  # the options are checked nevertheless
 
 
 @pytest.mark.skipif(not present("nevergrad"), reason="pip install 'nfbench[nevergrad]'")
 def test_nevergrad_suggests_the_nearest_optimizer():
     with pytest.raises(
-        OptionError, match="expected an optimizer of Nevergrad, got 'TwoPointDE'; did you mean TwoPointsDE"
+        OptionError, match="expected the name of a Nevergrad optimizer, got 'TwoPointDE'; did you mean TwoPointsDE"
     ):
         nfbench.solver("nevergrad", algorithm="TwoPointDE")
 
 
 @pytest.mark.parametrize(("name", "algorithm"), [("pymoo", "CMAES"), ("optuna", "tpe")])
-def test_a_population_for_what_has_none_is_refused(name, algorithm):
-    with pytest.raises(OptionError, match=f"population: expected none, as {algorithm} has no population, got 20"):
+def test_a_population_is_refused_for_algorithms_without_this_option(name, algorithm):
+    with pytest.raises(OptionError, match=f"population: expected none, because {algorithm} has no such option, got 20"):
         CLASSES[name](algorithm=algorithm, population=20)

@@ -1,8 +1,9 @@
-"""Our solvers against other people's implementations: evaluations to a target have the same distribution.
+"""Comparison of our solvers with independent implementations.
 
-Two-sample Kolmogorov-Smirnov tests at the level 0.001 each, on functions whose minimum is in the middle of the box, or
-on BBOB functions (by their number) in instances where it is far inside, so that rules for bounds, which differ, hardly
-matter. Seeds are fixed: a test that passes does so always.
+The numbers of evaluations to a target must have the same distribution, by two-sample Kolmogorov-Smirnov tests at the
+level 0.001 each. The functions have their minimum in the middle of the box, or are BBOB functions (given by number) in
+instances whose minimum is far inside the box, so that the rules for bounds, which differ, hardly matter. The seeds are
+fixed, so that the tests are deterministic.
 """
 
 import contextlib
@@ -33,12 +34,12 @@ TARGETS = {"sphere": 1e-8, "rastrigin": 1e-6, "rosenbrock": 1e-6, "ackley": 1e-6
 INSTANCES = {
     10: 12,
     15: 5,
-}  # rotated ellipsoid and Rastrigin; of the first 15 those with the innermost x_opt, within ±2.2
+}  # rotated ellipsoid and Rastrigin; of the first 15 instances, the ones whose x_opt is innermost (within ±2.2)
 GAPS = {10: 1e-6, 15: 1e-6}  # the target above f_opt
 
 
 def task(function, n):
-    """A problem and the value to reach, on BBOB's functions f_opt + GAPS."""
+    """Return a problem and the value to reach, which is f_opt + GAPS for BBOB functions."""
     if isinstance(function, str):
         scenario = Functions(function=function, dimension=n, shifted=False)
         return scenario.draw(np.random.default_rng(0)).problem, TARGETS[function]
@@ -48,7 +49,7 @@ def task(function, n):
 
 
 class Counted(Problem):
-    """A task that notes at which evaluation its target was first reached; the budget where it was not."""
+    """A task that records the evaluation at which its target was first reached, or the budget if it never was."""
 
     def __init__(self, function, n, budget):
         self.problem, self.target = task(function, n)
@@ -65,7 +66,7 @@ class Counted(Problem):
 
 
 def ours(solver, function, n, budget, runs):
-    """Evaluations to the target."""
+    """Return the number of evaluations to the target in each run of our solver."""
     hits = []
     for seed in range(runs):
         counted = Counted(function, n, budget)
@@ -75,6 +76,7 @@ def ours(solver, function, n, budget, runs):
 
 
 def alike(first, second):
+    """Print the comparison of two samples; return whether the test does not reject equal distributions."""
     result = ks_2samp(first, second)
     print(
         f"D = {result.statistic:.3f}, p = {result.pvalue:.3g}, medians {np.median(first):g} and {np.median(second):g}"
@@ -105,13 +107,13 @@ def test_de_agrees_with_scipy_on_bbob(strategy, function, n, budget):
     assert alike(a, b)
 
 
-def test_such_a_test_tells_f_of_half_from_a_little_more():
+def test_the_comparison_distinguishes_f_of_0_50_from_0_55():
     runs = [ours(DE(population=30, F=F, CR=0.7), "ackley", 4, 8000, 60) for F in (0.5, 0.55)]
     assert not alike(*runs)
 
 
 def minion(algorithm, function, n, budget, runs, **options):
-    """The same with minionpy, in C++, by Muzakka et al."""
+    """Return the same numbers for minionpy, a C++ library by Muzakka et al."""
     library = pytest.importorskip("minionpy")
     hits = []
     for seed in range(runs):
@@ -153,7 +155,7 @@ def test_adaptive_de_agrees_with_minionpy(solver, algorithm, population, functio
     ("function", "n", "budget"), [("sphere", 6, 20_000), ("rastrigin", 6, 40_000), (10, 5, 20_000), (15, 3, 60_000)]
 )
 def test_jade_with_the_arithmetic_mean_of_f_agrees_with_minionpy(function, n, budget, monkeypatch):
-    """minionpy has that mean where the paper has the Lehmer mean, and lets the population shrink if not told."""
+    """minionpy uses that mean instead of the paper's Lehmer mean, and by default it shrinks the population."""
     runs, N = 60, 60
     theirs = minion("JADE", function, n, budget, runs, population_size=N, minimum_population_size=N)
     assert np.median(theirs) < budget
@@ -182,7 +184,7 @@ def test_jade_with_the_arithmetic_mean_of_f_agrees_with_minionpy(function, n, bu
     ids=["jade", "shade", "shade-add-all"],
 )
 def test_jade_and_shade_agree_with_mealpy(solver, name, function, n, budget, add, monkeypatch):
-    """mealpy 3.0.3 by Van Thieu & Mirjalili, whose evaluations mealpy_hits.py has noted: it wants an older NumPy."""
+    """mealpy 3.0.3 by Van Thieu & Mirjalili requires an older NumPy, so mealpy_hits.py has recorded its results."""
     theirs = json.loads((Path(__file__).parent / "mealpy_hits.json").read_text())[f"{name} {function}"]
     monkeypatch.setattr(Archive, "add", add)
     assert np.median(theirs) < budget
@@ -190,7 +192,7 @@ def test_jade_and_shade_agree_with_mealpy(solver, name, function, n, budget, add
 
 
 @pytest.mark.slow
-def test_the_rule_for_a_full_archive_matters_a_little(monkeypatch):
+def test_the_rule_for_a_full_archive_has_a_small_effect(monkeypatch):
     solver, runs = SHADE(population=60, memory=60), 200
     a = ours(solver, "sphere", 6, 20_000, runs)
     monkeypatch.setattr(Archive, "add", Archive.add_all)
@@ -200,12 +202,12 @@ def test_the_rule_for_a_full_archive_matters_a_little(monkeypatch):
 
 
 def pygmo_pso(function, n, budget, runs):
-    """The same with pygmo's generational PSO, canonical with constriction and the global best, by Biscani & Izzo."""
+    """Return the same numbers for pygmo's generational PSO (Biscani & Izzo), with constriction and a global best."""
     pygmo = pytest.importorskip("pygmo")
     swarm, hits = 50, []
 
     class Objective:
-        def __deepcopy__(self, memo):  # pygmo copies its problems; the count must stay one
+        def __deepcopy__(self, memo):  # pygmo copies its problems; the counter must be shared
             return self
 
         def fitness(self, x):
@@ -231,11 +233,11 @@ def pygmo_pso(function, n, budget, runs):
 
 @dataclass(frozen=True)
 class LikePygmo(PSO):
-    """PSO with what pygmo's does otherwise: by Bratton & Kennedy's standard all three are False.
+    """PSO with the differences of pygmo's version; all three options are False in Bratton & Kennedy's standard.
 
-    sticks: a particle that passes a bound is set on it and loses its velocity there, instead of flying on.
-    starts: velocities start uniform within a width of the box, instead of half the way to another point.
-    clamps: no velocity is above a width of the box.
+    sticks: a particle that passes a bound is set on the bound and loses its velocity along that axis.
+    starts: initial velocities are uniform within ± the width of the box, instead of half the way to another point.
+    clamps: velocities are limited to the width of the box.
     """
 
     sticks: bool = False
@@ -264,7 +266,7 @@ class LikePygmo(PSO):
             p[inside[better]], f[inside[better]] = x[inside[better]], values[better]
 
 
-def test_like_pygmo_without_its_differences_is_pso():
+def test_like_pygmo_without_the_differences_equals_pso():
     assert ours(LikePygmo(), "ackley", 4, 20_000, 3) == ours(PSO(), "ackley", 4, 20_000, 3)
 
 
@@ -274,12 +276,12 @@ def test_like_pygmo_without_its_differences_is_pso():
     [
         ("sphere", 6, 20_000, None),
         ("ackley", 4, 20_000, None),
-        (10, 5, 60_000, 100.0),  # PSO misses 1e-6 with 200,000, too
+        (10, 5, 60_000, 100.0),  # even with 200,000 evaluations PSO does not reach 1e-6
         (15, 3, 20_000, 1e-6),
         (15, 3, 20_000, 1.5),
     ],
 )
-def test_pso_agrees_with_pygmo_but_for_three_differences(function, n, budget, gap, monkeypatch):
+def test_pso_agrees_with_pygmo_except_for_three_differences(function, n, budget, gap, monkeypatch):
     monkeypatch.setitem(GAPS, function, gap)
     runs = 200
     theirs = pygmo_pso(function, n, budget, runs)

@@ -1,3 +1,5 @@
+"""NLopt's global algorithms: seeding, options, infinite values, and the problems that an algorithm declines."""
+
 import nlopt
 import numpy as np
 import pytest
@@ -17,15 +19,15 @@ def evaluated(solver, seed=0, budget=400, n=2):
 
 
 @pytest.mark.parametrize("cls", ALL)
-def test_the_process_wide_seed_is_set_anew_for_each_run(cls):
+def test_the_process_wide_generator_is_seeded_for_each_run(cls):
     first = evaluated(cls(), seed=3)
     nlopt.srand(99)
-    evaluated(ISRES(), seed=4, budget=333)  # draws from the same generator
+    evaluated(ISRES(), seed=4, budget=333)  # uses the same generator
     assert_array_equal(evaluated(cls(), seed=3), first)
 
 
 @pytest.mark.parametrize("cls", [CRS2LM, ESCH, ISRES, MLSL])
-def test_population_is_passed_on(cls):
+def test_the_population_option_reaches_nlopt(cls):
     assert_array_equal(evaluated(cls(population=17))[:1], evaluated(cls())[:1])
     assert not np.array_equal(evaluated(cls(population=17)), evaluated(cls()))
 
@@ -39,8 +41,8 @@ def test_the_deeper_valley_is_found(cls):
 
 
 @pytest.mark.parametrize("cls", ALL)
-def test_infinite_values_break_none_of_them(cls):
-    """DIRECT gives up and AGS crashes the process where NLopt is given +inf."""
+def test_every_algorithm_works_with_infinite_values(cls):
+    """Without a replacement for +inf, DIRECT would give up and AGS would crash the process."""
     hole = Formula(lambda X: np.where(np.abs(X[:, 0] - 0.5) < 0.9, np.nan, X.sum(axis=1)), [-1, -1], [2, 2])
     minimum = minimize(hole, cls(), 5000, 1)
     assert minimum.status is Status.OK
@@ -54,20 +56,20 @@ def test_infinite_values_break_none_of_them(cls):
 
 
 @pytest.mark.parametrize("local", ["sbplx", "nelder-mead", "bobyqa"])
-def test_mlsl_every_local_search_sharpens(local):
+def test_mlsl_converges_with_every_local_search(local):
     minimum = minimize(bowl(3), MLSL(local=local), 3000)
     assert minimum.evaluations == 3000
     assert minimum.value < 1e-10
 
 
-def test_mlsl_looser_tolerances_leave_more_local_searches():
+def test_mlsl_with_looser_tolerances_is_less_precise():
     tight, loose = bowl(2), bowl(2)
     exact = minimize(tight, MLSL(xtol=1e-12, ftol=0.0), 2000).value
     rough = minimize(loose, MLSL(xtol=1e-1), 2000).value
     assert exact < rough < 1e-2
 
 
-def test_direct_variants_evaluate_the_centre_first_and_go_apart():
+def test_direct_variants_evaluate_the_centre_first_and_then_differ():
     runs = [evaluated(cls(), budget=300, n=5) for cls in (Direct, DirectL, DirectLRand)]
     for points in runs:
         np.testing.assert_allclose(points[0], 0.5)
@@ -75,11 +77,11 @@ def test_direct_variants_evaluate_the_centre_first_and_go_apart():
     assert not np.array_equal(runs[1], runs[2])
 
 
-def test_what_they_cannot_do_is_declined_with_the_reason():
+def test_unsuitable_problems_are_declined_with_the_reason():
     minimum = minimize(bowl(11), AGS(), 100)
     assert (minimum.status, minimum.message) == (
         Status.SKIPPED,
-        "AGS handles at most 10 unknowns, and the problem has 11",
+        "nlopt-ags: expected a problem with at most 10 unknowns, got 11",
     )
     assert minimize(bowl(10), AGS(), 100).status is Status.OK
     minimum = minimize(bowl(5), CRS2LM(population=5), 100)

@@ -1,4 +1,4 @@
-"""`portfolio` and `restarts`: who gets which slice and generator, against plain functions that do the same."""
+"""`portfolio` and `restarts`: the slices and generators of the nested solvers, compared with plain functions."""
 
 import numpy as np
 import pytest
@@ -17,7 +17,7 @@ RANDOM = {"kind": "random-search", "batch": 7}
 
 
 class Recorded(Probe):
-    """A probe that keeps every point."""
+    """A probe that records every evaluated point."""
 
     def __init__(self, n=3, **more):
         super().__init__(-np.ones(n), np.linspace(1.0, 2.0, n), **more)
@@ -33,7 +33,7 @@ def made(table):
 
 
 def alone(slices, seed):
-    """The points of solvers that run one after the other, each with its budget and a child of one generator."""
+    """Return the points of solvers that run one after another, each with its own budget and child generator."""
     rng, problem = np.random.default_rng(seed), Recorded()
     for table, evaluations in slices:
         nfbench.minimize(problem, made(table), evaluations, rng.spawn(1)[0])
@@ -45,13 +45,13 @@ def alone(slices, seed):
     [
         ([DE, RANDOM], None, [(DE, 100), (RANDOM, 100)]),
         ([DE, RANDOM], [1.0, 3.0], [(DE, 50), (RANDOM, 150)]),
-        ([SHORT_DE, DE, RANDOM], None, [(SHORT_DE, 30), (DE, 85), (RANDOM, 85)]),  # 67 of which 37 are left
+        ([SHORT_DE, DE, RANDOM], None, [(SHORT_DE, 30), (DE, 85), (RANDOM, 85)]),  # 37 of the first slice's 67 are left
         ([RANDOM, SHORT_DE, DE, SHORT_DE], [2.0, 1.0, 1.0, 1.0], None),
-        ([SHORT_DE, SHORT_DE], None, [(SHORT_DE, 30), (SHORT_DE, 30)]),  # nothing is left to do
+        ([SHORT_DE, SHORT_DE], None, [(SHORT_DE, 30), (SHORT_DE, 30)]),  # both solvers end early
     ],
 )
 def test_a_portfolio_runs_its_solvers_on_slices(solvers, weights, slices):
-    if slices is None:  # 80 of 200; 30 of 40; 45 of 90; 30 of 45: 15 are left, shared 2 : 1 by those that were cut
+    if slices is None:  # 80 of 200; 30 of 40; 45 of 90; 30 of 45; the two stopped solvers share the last 15 as 2 : 1
         slices = [(RANDOM, 80), (SHORT_DE, 30), (DE, 45), (SHORT_DE, 30), (RANDOM, 10), (DE, 5)]
     problem = Recorded()
     found = nfbench.minimize(problem, nfbench.solver("portfolio", solvers=solvers, weights=weights), 200, seed=3)
@@ -69,7 +69,7 @@ def test_a_portfolio_runs_its_solvers_on_slices(solvers, weights, slices):
     ("solver", "evaluations", "starts"),
     [(SHORT_DE, None, [30] * 6 + [20]), (DE, 64, [64, 64, 64, 8]), (SHORT_DE, 25, [25] * 8)],
 )
-def test_restarts_begin_anew(solver, evaluations, starts):
+def test_restarts_use_independent_generators_and_budgets(solver, evaluations, starts):
     problem = Recorded()
     restarts = nfbench.solver("restarts", solver=solver, evaluations=evaluations)
     found = nfbench.minimize(problem, restarts, 200, seed=5)
@@ -79,7 +79,7 @@ def test_restarts_begin_anew(solver, evaluations, starts):
         assert np.isin(found.population, np.array(problem.points)[-starts[-1] :]).all()
 
 
-def test_slices_of_solvers_over_solvers():
+def test_composed_solvers_can_be_nested():
     inner = {"kind": "restarts", "solver": SHORT_DE}
     problem = Recorded()
     nfbench.minimize(problem, nfbench.solver("portfolio", solvers=[inner, RANDOM]), 100, seed=1)
@@ -94,10 +94,10 @@ def test_the_target_ends_all_slices():
     problem = Recorded()
     budget = Budget(evaluations=5000, target=0.05)
     found = nfbench.minimize(problem, nfbench.solver("portfolio", solvers=[DE, RANDOM]), budget, seed=1)
-    assert found.value <= 0.05 and found.evaluations < 2500  # within the first slice, and the second never began
+    assert found.value <= 0.05 and found.evaluations < 2500  # within the first slice
 
 
-def test_a_part_has_its_share_of_what_is_left():
+def test_a_part_has_its_share_of_the_remaining_evaluations():
     meter = MeteredProblem(Recorded(), Budget(evaluations=100, seconds=1000.0))
     meter.evaluate(np.zeros((20, 3)))
     part = meter.part(0.25)
@@ -110,7 +110,7 @@ def test_a_part_has_its_share_of_what_is_left():
         meter.part()
 
 
-def test_a_part_has_its_share_of_the_seconds():
+def test_a_part_has_its_share_of_the_remaining_seconds():
     meter = MeteredProblem(Recorded(), Budget(seconds=600.0))
     part = meter.part(1e-5)
     with pytest.raises(BudgetExhausted):
@@ -119,14 +119,14 @@ def test_a_part_has_its_share_of_the_seconds():
     assert part.spent and not meter.spent
 
 
-def test_a_fault_within_a_part_is_the_whole_runs():
+def test_a_fault_in_a_part_is_a_fault_of_the_whole_run():
     meter = MeteredProblem(Recorded(), Budget(evaluations=9))
     with pytest.raises(InvalidEvaluation):
         meter.part(0.5)(np.full(3, 7.0))
     assert "got 7.0" in meter.fault
 
 
-def test_info_follows_from_the_solvers():
+def test_info_is_combined_from_the_nested_solvers():
     gradient = nfbench.solver("portfolio", solvers=[{"kind": "nlopt-mlsl-lbfgs"}, {"kind": "scipy-direct"}])
     assert gradient.info.needs_gradient
     assert nfbench.minimize(Recorded(), gradient, 50).status is Status.SKIPPED
@@ -136,7 +136,7 @@ def test_info_follows_from_the_solvers():
     assert nfbench.solver("portfolio").info.stochastic
 
 
-def test_no_group_contains_them():
+def test_no_group_contains_portfolio_or_restarts():
     tables, _ = members(Registry(), {"group": "all"})
     names = {table["kind"] for table in tables.values()}
     assert not {"portfolio", "restarts"} & set(names) and "de" in names
@@ -152,25 +152,25 @@ def test_no_group_contains_them():
             "[0].solvers[0].popluation: unknown option",
         ),
         ('kind = "portfolio"\nsolvers = [{ population = 9 }]', "[0].solvers[0].kind: is required; known: "),
-        ('kind = "portfolio"\nsolvers = []', "[0].solvers: expected one or more"),
+        ('kind = "portfolio"\nsolvers = []', "[0].solvers: expected one or more solvers"),
         ('kind = "portfolio"\nweights = [1.0]', "[0].weights: expected 2 numbers"),
         ('kind = "restarts"\nsolver = "de"', "[0].solver: expected a table with the kind of a solver, got 'de'"),
         ('kind = "restarts"\nsolver = { kind = "de", population = 3 }', "[0].solver.population: expected"),
-        ('kind = "restarts"\nsolver = { kind = "scipy-direct" }', "[0].solver.kind: expected one that is random"),
+        ('kind = "restarts"\nsolver = { kind = "scipy-direct" }', "[0].solver.kind: expected a stochastic solver"),
         (
             'kind = "restarts"\nsolver = { kind = "portfolio", solvers = [{ kind = "de", F = 3.0 }] }',
             "[0].solver.solvers[0].F: expected",
         ),
     ],
 )
-def test_mistakes_within_are_told_with_their_path(manifest, table, message):
+def test_errors_in_nested_tables_are_reported_with_their_path(manifest, table, message):
     path = manifest(f'[[formulation]]\nkind = "once"\n[budget]\nevaluations = 9\n[[solver]]\n{table}\n')
     with pytest.raises(ManifestError) as raised:
         load_study(path)
     assert any(f"solver{message}" in text or message in text for text in raised.value.problems)
 
 
-def test_a_study_runs_plugins_within_and_knows_their_version(manifest, tmp_path):
+def test_a_study_runs_nested_plugins_and_records_their_version(manifest, tmp_path):
     file = tmp_path / "mine.py"
     source = (
         "from dataclasses import dataclass\nfrom nfbench import Solver\n"
@@ -196,7 +196,7 @@ def test_a_study_runs_plugins_within_and_knows_their_version(manifest, tmp_path)
         ids.append([spec.run_id for spec in study.specs()])
         results = nfbench.run(study, out=tmp_path / revision[2], jobs=0)
         assert set(results.runs["status"]) == {"ok"} and set(results.runs["evaluations"]) == {40}
-    assert not set(ids[0]) & set(ids[1])  # another version of what runs within is another run
+    assert not set(ids[0]) & set(ids[1])  # a new version of a nested plugin gives new run ids
 
 
 def test_options_survive_a_round_trip():

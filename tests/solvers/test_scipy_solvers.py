@@ -1,3 +1,5 @@
+"""The solvers of SciPy: options, stopping rules and accuracy."""
+
 import typing
 
 import numpy as np
@@ -15,7 +17,7 @@ STRATEGIES = typing.get_args(typing.get_type_hints(ScipyDE)["strategy"])
 
 
 def unit(points):
-    """Points of [-1, 2]ⁿ in [0, 1]ⁿ."""
+    """Map points of [-1, 2]ⁿ to [0, 1]ⁿ."""
     return (points + 1) / 3
 
 
@@ -31,7 +33,7 @@ def test_de_every_strategy_converges_in_one_valley(strategy):
     assert minimize(bowl(2), ScipyDE(strategy=strategy, population=30), 6000).value < 1e-6
 
 
-def test_de_strategies_and_factors_make_other_points():
+def test_de_every_option_changes_the_points():
     def points(**options):
         problem = bowl(3)
         minimize(problem, ScipyDE(population=10, **options), 100)
@@ -50,7 +52,7 @@ def test_de_latin_hypercube_fills_every_row_and_column():
     assert_array_equal(cells, np.tile(np.arange(20)[:, None], 3))
 
 
-def test_de_tolerance_ends_it_and_the_polish_is_counted():
+def test_de_tolerance_ends_the_run_and_polishing_is_counted():
     raised = Formula(lambda X: 1 + ((X - 0.3) ** 2).sum(axis=1), [-1, -1, -1], [2, 2, 2])
     plain = minimize(raised, ScipyDE(tol=0.01, polish=False), 50_000)
     polished = minimize(raised, ScipyDE(tol=0.01), 50_000)
@@ -58,28 +60,28 @@ def test_de_tolerance_ends_it_and_the_polish_is_counted():
     assert 1 <= polished.value < 1 + 1e-12 < plain.value
 
 
-def test_de_without_tolerance_only_a_population_of_equal_values_ends_it():
+def test_de_without_tolerance_ends_early_only_if_all_values_are_equal():
     slanted = minimize(ramp(2), ScipyDE(strategy="rand1bin"), 3000)
     assert slanted.evaluations == 3000
     flat = minimize(Formula(lambda X: np.ones(len(X)), [0.0], [1.0]), ScipyDE(polish=False), 3000)
     assert flat.evaluations == 100  # the initial population and one generation
 
 
-def test_dual_annealing_escapes_and_local_search_sharpens():
+def test_dual_annealing_finds_the_deeper_valley_and_local_search_refines_it():
     rough = minimize(two_valleys(), ScipyDualAnnealing(local_search=False), 20_000)
     sharp = minimize(two_valleys(), ScipyDualAnnealing(), 20_000)
     assert rough.evaluations == sharp.evaluations == 20_000
     assert sharp.value <= rough.value < -1.9
 
 
-def test_dual_annealing_ends_where_nothing_is_finite():
+def test_dual_annealing_ends_if_no_value_is_finite():
     nothing = Formula(lambda X: np.full(len(X), np.nan), [0.0], [1.0])
     minimum = minimize(nothing, ScipyDualAnnealing(), 5000)
     assert minimum.status is Status.INVALID
     assert minimum.message == "none of 1001 evaluations gave a finite value"
 
 
-def test_dual_annealing_lets_the_problems_own_value_error_pass():
+def test_dual_annealing_does_not_catch_a_value_error_of_the_problem():
     def broken(X):
         raise ValueError("no such source")
 
@@ -96,17 +98,17 @@ def test_direct_starts_in_the_centre_and_converges_without_tolerances():
     assert minimum.value < 1e-20
 
 
-def test_direct_the_biased_variant_is_another_algorithm():
+def test_direct_locally_biased_variant_converges_faster_on_a_bowl():
     local, original = bowl(5), bowl(5)
     biased = minimize(local, ScipyDirect(), 2000).value
     plain = minimize(original, ScipyDirect(locally_biased=False), 2000).value
     assert biased < plain < 0.1
 
 
-def test_direct_memory_limits_the_run():
+def test_direct_max_evaluations_ends_the_run():
     minimum = minimize(bowl(2), ScipyDirect(max_evaluations=500), 3000)
     assert minimum.status is Status.OK
-    assert 500 <= minimum.evaluations < 700  # SciPy finishes the division it is in
+    assert 500 <= minimum.evaluations < 700  # SciPy completes the current division
 
 
 @pytest.mark.parametrize("sampling", ["simplicial", "sobol", "halton"])
@@ -117,7 +119,7 @@ def test_shgo_finds_the_narrow_valley(sampling, local):
     assert minimum.value < -1.99
 
 
-def test_shgo_samplings_differ_and_sobol_is_a_power_of_two():
+def test_shgo_samplings_differ_and_sobol_uses_a_power_of_two():
     first = {}
     for sampling in ("simplicial", "sobol", "halton"):
         problem = ramp(2)
@@ -129,11 +131,11 @@ def test_shgo_samplings_differ_and_sobol_is_a_power_of_two():
 
 
 @pytest.mark.parametrize("sampling", ["sobol", "halton"])
-def test_shgo_declines_a_triangulation_that_would_never_end(sampling):
+def test_shgo_declines_a_triangulation_that_would_take_too_long(sampling):
     minimum = minimize(bowl(4), ScipySHGO(sampling=sampling), 100)
     assert minimum.status is Status.SKIPPED
     assert minimum.message == (
-        f"sampling='{sampling}' triangulates its points, feasible in at most 3 dimensions, and the problem has 4; "
+        f"sampling='{sampling}': expected at most 3 unknowns, because it triangulates its points, got 4; "
         'use sampling="simplicial"'
     )
 
@@ -151,7 +153,7 @@ def test_shgo_declines_a_triangulation_that_would_never_end(sampling):
         (ScipySHGO, {"sampling": "grid"}, "sampling: expected 'simplicial', 'sobol' or 'halton', got 'grid'"),
     ],
 )
-def test_impossible_options_are_named(cls, options, message):
+def test_invalid_options_are_named(cls, options, message):
     with pytest.raises(OptionError) as caught:
         cls(**options)
     assert message in str(caught.value)

@@ -1,4 +1,4 @@
-"""Random search, multistart L-BFGS-B, and the stand-in for infinity."""
+"""Random search, multistart L-BFGS-B, and the replacement of infinite values."""
 
 import math
 
@@ -14,7 +14,7 @@ from nfbench.solvers.multistart_lbfgsb import MultistartLBFGSB
 from nfbench.solvers.random_search import RandomSearch
 
 
-def test_random_search_is_uniform_and_its_batch_changes_no_point():
+def test_random_search_is_uniform_and_its_points_do_not_depend_on_the_batch():
     runs = []
     for batch in (1, 256, 5000):
         problem = bowl(2)
@@ -32,7 +32,7 @@ def rosenbrock(n=4):
 
 
 @pytest.mark.parametrize("gradient", ["auto", "difference"])
-def test_lbfgsb_converges_in_a_bent_valley(gradient):
+def test_lbfgsb_converges_in_a_curved_valley(gradient):
     minimum = minimize(rosenbrock(2), MultistartLBFGSB(gradient=gradient), 3000)
     assert minimum.evaluations == 3000
     assert minimum.value < 1e-6
@@ -50,14 +50,14 @@ def test_lbfgsb_analytic_gradients_cost_one_evaluation_and_differences_n_plus_on
     assert forced.evaluations == without.evaluations
 
 
-def test_lbfgsb_differences_are_the_gradient():
+def test_lbfgsb_differences_step_along_each_axis():
     problem = bowl(3)
     minimize(problem, MultistartLBFGSB(starts=1, step=1e-3), 4)
     base, *others = problem.points
     assert_allclose(np.array(others) - base, 3e-3 * np.eye(3), atol=1e-15)  # the box is 3 wide
 
 
-def test_lbfgsb_differences_look_inwards_at_the_upper_corner():
+def test_lbfgsb_differences_step_inwards_at_the_upper_corner():
     problem = ramp(3)
     minimum = minimize(problem, MultistartLBFGSB(starts=3), 10_000)
     assert minimum.status is Status.OK
@@ -67,13 +67,13 @@ def test_lbfgsb_differences_look_inwards_at_the_upper_corner():
 
 def test_lbfgsb_starts_are_counted_and_independent():
     values = [minimize(two_valleys(), MultistartLBFGSB(starts=1), 10_000, seed).value for seed in range(12)]
-    assert min(values) < -1.9 < max(values)  # one start finds either valley
-    many = minimize(two_valleys(), MultistartLBFGSB(starts=40), 10_000)
-    assert many.evaluations < 10_000
-    assert many.value < -1.99
+    assert min(values) < -1.9 < max(values)  # a single start may find either valley
+    best = minimize(two_valleys(), MultistartLBFGSB(starts=40), 10_000)
+    assert best.evaluations < 10_000
+    assert best.value < -1.99
 
 
-def test_lbfgsb_leaves_a_plateau_of_infinity_by_another_start():
+def test_lbfgsb_restarts_after_a_start_on_a_plateau_of_infinity():
     hole = Formula(lambda X: np.where(X[:, 0] > -0.4, np.nan, ((X + 0.7) ** 2).sum(axis=1)), [-1, -1], [2, 2])
     minimum = minimize(hole, MultistartLBFGSB(), 1000)
     assert minimum.status is Status.OK
@@ -81,7 +81,7 @@ def test_lbfgsb_leaves_a_plateau_of_infinity_by_another_start():
     assert minimum.value < 1e-12
 
 
-def test_the_stand_in_for_infinity_is_the_worst_finite_value():
+def test_infinity_is_replaced_by_the_worst_finite_value():
     finite = Finite(start=7.0)
     assert finite.one(math.inf) == 7.0
     assert finite.one(-3.0) == -3.0

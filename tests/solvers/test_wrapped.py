@@ -1,4 +1,4 @@
-"""What adapters of libraries share: points outside are refused, the stop is not lost, global randomness is put back."""
+"""Helpers of the library adapters: points outside the box, exceptions, planned evaluations, global random states."""
 
 import random
 import sys
@@ -15,7 +15,7 @@ def meter(**budget):
     return MeteredProblem(bowl(), Budget(**{"evaluations": 10, **budget}))
 
 
-def test_rounding_is_mended_and_a_point_outside_is_refused():
+def test_rounding_errors_are_clipped_and_points_outside_are_refused():
     problem = meter()
     assert np.array_equal(from_unit(problem, np.array([-1e-12, 1.0 + 1e-12])), [-1.0, 2.0])
     assert np.array_equal(from_unit(problem, np.array([[0.0, 0.5]])), [[-1.0, 0.5]])
@@ -25,7 +25,7 @@ def test_rounding_is_mended_and_a_point_outside_is_refused():
     assert problem.evaluations == 0
 
 
-def test_a_plan_is_what_is_left_or_the_horizon_where_nothing_counts():
+def test_planned_evaluations_are_the_remaining_budget_or_the_horizon():
     problem = meter(evaluations=10)
     problem(problem.lower)
     assert planned(problem, 500) == 9
@@ -34,12 +34,12 @@ def test_a_plan_is_what_is_left_or_the_horizon_where_nothing_counts():
     assert planned(unlimited, 500) == 500 < sys.maxsize
 
 
-@pytest.mark.parametrize("library", ["passes", "swallows", "replaces", "asks on"])
-def test_what_ends_a_run_gets_past_a_library(library):
-    stop, asked = Stop(), []
+@pytest.mark.parametrize("library", ["passes", "swallows", "replaces", "continues"])
+def test_the_exception_that_ends_a_run_is_preserved(library):
+    stop, evaluated = Stop(), []
 
     def objective(x):
-        asked.append(x)
+        evaluated.append(x)
         if x == 2:
             raise BudgetExhausted("over")
         return x
@@ -60,15 +60,15 @@ def test_what_ends_a_run_gets_past_a_library(library):
 
     with pytest.raises(BudgetExhausted, match="over"):
         stop.run(run)
-    assert asked == [0, 1, 2]
+    assert evaluated == [0, 1, 2]
 
 
-def test_an_error_of_the_library_itself_passes():
+def test_an_error_of_the_library_itself_is_raised():
     with pytest.raises(ZeroDivisionError):
         Stop().run(lambda: 1 / 0)
 
 
-def test_global_randomness_comes_from_the_seed_and_is_put_back():
+def test_global_random_states_are_seeded_and_restored():
     np.random.seed(5)  # noqa: NPY002
     random.seed(5)
     expected = np.random.random(), random.random()  # noqa: NPY002

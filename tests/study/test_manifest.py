@@ -1,4 +1,4 @@
-"""A manifest becomes a study, or a list of everything that is wrong with it."""
+"""Tests that a manifest becomes a study or a list of all its errors."""
 
 import pytest
 from conftest import BASIC
@@ -12,7 +12,7 @@ def problems(path):
     return caught.value.problems
 
 
-def test_the_product_of_points_formulations_and_solvers(manifest):
+def test_a_study_is_the_product_of_points_formulations_and_solvers(manifest):
     study = load_study(
         manifest(
             """
@@ -43,7 +43,7 @@ def test_the_product_of_points_formulations_and_solvers(manifest):
     assert len(study) == len(list(study.specs())) == 3 * 6 * 3
 
 
-def test_labels_are_made_unique_by_the_options_that_differ(manifest):
+def test_differing_options_make_the_labels_unique(manifest):
     study = load_study(
         manifest(
             """
@@ -70,7 +70,7 @@ def test_labels_are_made_unique_by_the_options_that_differ(manifest):
     assert study.methods[-1].label == "once(shift=0.5) + four"
 
 
-def test_methods_have_their_own_budget_and_label(manifest):
+def test_a_method_may_have_its_own_budget_and_label(manifest):
     study = load_study(
         manifest(
             """
@@ -96,7 +96,7 @@ def test_methods_have_their_own_budget_and_label(manifest):
     ]
 
 
-def test_a_swept_key_may_be_a_path_or_a_list(manifest):
+def test_a_swept_value_may_be_a_list(manifest):
     study = load_study(manifest('[sweep]\nnames = [[], ["a", "b"]]\n' + BASIC))
     assert [point.swept["names"] for point in study.points] == [[], ["a", "b"]]
 
@@ -144,11 +144,11 @@ WRONG = {
     ),
     "an impossible name": (
         'name = "../../etc"\nrepetitions = 1\nseed = 1\n[scenario]\nkind = "toy"\n[[formulation]]\nkind = "oracle"',
-        ["name: expected text that matches", "got '../../etc'"],
+        ["name: expected a string that matches", "got '../../etc'"],
     ),
     "a table for a list": (
         'name = "a"\nrepetitions = 1\nseed = 1\n[scenario]\nkind = "toy"\n[formulation]\nkind = "oracle"',
-        ["formulation: expected a list of tables, got one table; write [[formulation]] for [formulation]"],
+        ["formulation: expected a list of tables, got one table; write [[formulation]] instead of [formulation]"],
     ),
     "a formulation without solver or budget": (
         'name = "a"\nrepetitions = 1\nseed = 1\n[scenario]\nkind = "toy"\n[[formulation]]\nkind = "once"',
@@ -172,7 +172,7 @@ WRONG = {
         'name="a"\nrepetitions=1\nseed=1\n[scenario]\nkind="toy"\n[[formulation]]\nkind="once"\n'
         '[[solver]]\nkind="sampler"\n[[solver]]\nkind="sampler"\nbatch=8\n[sweep]\nnoise=[0, 0.0]\n'
         "[budget]\nevaluations=9",
-        ["solver[1]: is the same as solver[0]", "sweep.noise[1]: the same scenario as at sweep.noise[0]"],
+        ["solver[1]: is the same as solver[0]", "sweep.noise[1]: gives the same scenario as sweep.noise[0]"],
     ),
     "an empty sweep and a wrong one": (
         'name="a"\nrepetitions=1\nseed=1\n[scenario]\nkind="toy"\n[[formulation]]\nkind="oracle"\n'
@@ -187,15 +187,15 @@ WRONG = {
         'name="a"\nrepetitions=1\nseed=1\n[scenario]\nkind="toy"\n[[method]]\nformulation="oracle"\nsolver="sampler"\n'
         '[[method]]\nformulation="once"\nbudget={evaluations=3}\n[[method]]\nsolver="sampler"',
         [
-            "method[0].solver: oracle needs no solver, got one",
-            "method[1].solver: once needs a solver, got none",
+            "method[0].solver: oracle needs no solver, but got one",
+            "method[1].solver: once needs a solver, but got none",
             "method[2].formulation: is required",
         ],
     ),
     "one label twice": (
         'name="a"\nrepetitions=1\nseed=1\n[scenario]\nkind="toy"\n[[formulation]]\nkind="once"\n'
         '[[solver]]\nkind="sampler"\nlabel="x"\n[[solver]]\nkind="lazy"\nlabel="x"\n[budget]\nevaluations=9',
-        ["solver: two of them are labelled 'x'"],
+        ["solver: two solvers are labelled 'x'"],
     ),
     "not TOML": ("name = ", ["is not valid TOML: Invalid value (at end of document)"]),
     "numbers out of range": (
@@ -212,7 +212,7 @@ WRONG = {
 
 
 @pytest.mark.parametrize("case", WRONG)
-def test_every_mistake_is_told_with_its_path(case, tmp_path, toy_plugin):
+def test_every_error_is_reported_with_its_path(case, tmp_path, toy_plugin):
     text, expected = WRONG[case]
     path = tmp_path / "study.toml"
     lines = text.strip("\n").splitlines()
@@ -222,19 +222,19 @@ def test_every_mistake_is_told_with_its_path(case, tmp_path, toy_plugin):
         assert any(part in line for line in found), (part, found)
 
 
-def test_the_first_wrong_manifest_has_no_error_beyond_its_mistakes(tmp_path, toy_plugin):
+def test_a_manifest_with_many_errors_is_reported_without_spurious_ones(tmp_path, toy_plugin):
     text, expected = WRONG["every error at once"]
     path = tmp_path / "study.toml"
     path.write_text(f"plugins = ['{toy_plugin}']\n" + "\n".join(line.strip() for line in text.splitlines()))
     assert sorted(problems(path)) == sorted(expected)
 
 
-def test_a_missing_manifest_or_plugin_is_named(tmp_path, manifest):
+def test_a_missing_manifest_or_plugin_file_is_reported(tmp_path, manifest):
     assert problems(tmp_path / "no.toml") == ["cannot be read: No such file or directory"]
     assert any("no.py: No such file" in text for text in problems(manifest(BASIC, plugins=["no.py"])))
 
 
-def test_a_plugin_that_fails_to_import_is_a_warning_and_its_solver_a_choice_that_fails(tmp_path, manifest):
+def test_a_plugin_that_fails_to_import_causes_a_warning_and_its_solver_is_planned_as_broken(tmp_path, manifest):
     (tmp_path / "bad.py").write_text("def broken(:")
     study = load_study(manifest(BASIC + '[[solver]]\nkind = "mine"\n', plugins=["bad.py"]))
     assert "bad.py is left out: SyntaxError" in study.warnings[0]

@@ -1,4 +1,4 @@
-"""Run identities and seeds depend on what is computed, and on nothing else."""
+"""Tests that run identities and seeds depend only on what is computed."""
 
 import json
 import pickle
@@ -20,7 +20,7 @@ def by_id(path):
     return {spec.run_id: spec for spec in load_study(path).specs()}
 
 
-def test_specs_are_plain_data_and_the_same_every_time(manifest):
+def test_specs_are_plain_data_and_reproducible(manifest):
     study = load_study(manifest(MORE))
     specs = list(study.specs())
     assert specs == list(study.specs()) == list(load_study(manifest(MORE)).specs())
@@ -50,18 +50,18 @@ def test_an_identity_is_stable_across_versions_of_the_code(manifest):
 PINNED = ("66f014b937cf8ff0b10a", 6866092018086572425, 7474588578027608012)
 
 
-def test_an_option_that_a_plugin_gains_changes_no_run(manifest, tmp_path):
+def test_a_new_option_of_a_plugin_does_not_change_the_seeds(manifest, tmp_path):
     plugin = tmp_path / "mine.py"
     before, after = {}, {}
     for found, more in ((before, ""), (after, "    patience: int = 3\n")):
-        plugin.write_text(GAINING.replace("    # more\n", more))
+        plugin.write_text(PLUGIN_SOURCE.replace("    # more\n", more))
         study = load_study(manifest(BASIC.replace('"sampler"', '"mine"\nbatch = 3'), plugins=[plugin]))
         found.update({spec.repetition: (spec.instance_seed, spec.solver_seed) for spec in study.specs()})
         assert ("patience" in study.methods[0].solver.options) == bool(more)
     assert before == after and len(before) == len({*before.values()}) == 3
 
 
-GAINING = """
+PLUGIN_SOURCE = """
 from dataclasses import dataclass
 from nfbench import Solver, SolverInfo
 
@@ -77,10 +77,10 @@ class Mine(Solver):
 """
 
 
-def test_instances_are_shared_by_methods_and_solver_seeds_are_not(manifest):
+def test_methods_share_instance_seeds_but_not_solver_seeds(manifest):
     specs = list(load_study(manifest(MORE + "[sweep]\ndimension = [2, 3]\n")).specs())
-    where = {(spec.point.swept["dimension"], spec.repetition) for spec in specs}
-    assert len({spec.instance_seed for spec in specs}) == len(where) == 6
+    instances = {(spec.point.swept["dimension"], spec.repetition) for spec in specs}
+    assert len({spec.instance_seed for spec in specs}) == len(instances) == 6
     assert len({spec.solver_seed for spec in specs}) == len(specs) == 12
     assert all(0 <= spec.solver_seed < 2**63 for spec in specs)
 
@@ -93,7 +93,7 @@ def test_instances_are_shared_by_methods_and_solver_seeds_are_not(manifest):
         {"extra": BASIC + "[sweep]\nnoise = [0.0, 0.5]\n"},
     ],
 )
-def test_adding_to_a_study_changes_no_run_of_it(manifest, change):
+def test_adding_to_a_study_does_not_change_its_runs(manifest, change):
     before = by_id(manifest(BASIC))
     after = by_id(manifest(**change))
     assert len(after) > len(before)
@@ -112,7 +112,7 @@ def test_adding_to_a_study_changes_no_run_of_it(manifest, change):
         {"extra": BASIC, "name": "other"},
     ],
 )
-def test_what_computes_the_same_is_the_same(manifest, same):
+def test_changes_that_do_not_affect_the_result_keep_the_run_ids(manifest, same):
     assert ids(manifest(**same)) == ids(manifest(BASIC))
 
 
@@ -126,5 +126,5 @@ def test_what_computes_the_same_is_the_same(manifest, same):
         {"extra": BASIC.replace('"once"', '"once"\nshift = 1.0')},
     ],
 )
-def test_what_computes_something_else_is_another(manifest, other):
+def test_changes_that_affect_the_result_change_the_run_ids(manifest, other):
     assert not set(ids(manifest(**other))) & set(ids(manifest(BASIC)))

@@ -1,4 +1,4 @@
-"""Solvers that each break one rule: the check of that rule, and no unrelated one, must fail and say why."""
+"""Solvers that each break one rule: the check of that rule must fail with the reason, and unrelated checks pass."""
 
 import random
 import sys
@@ -15,7 +15,7 @@ from nfbench.testing import CheckResult, Probe, check_names, check_solver, solve
 
 
 def sample(problem, rng, lower=0.0, upper=1.0):
-    """Shrinking random search, good enough for every check."""
+    """A random search in a shrinking box that passes every check."""
     centre, radius = np.full(problem.dimension, 0.5), 0.5
     while True:
         U = np.clip(centre + radius * rng.uniform(-1, 1, (20, problem.dimension)), 0, 1)
@@ -27,7 +27,7 @@ def sample(problem, rng, lower=0.0, upper=1.0):
 
 @dataclass(frozen=True)
 class Good(Solver):
-    """Keeps every rule."""
+    """Follows every rule."""
 
     info: ClassVar[SolverInfo] = SolverInfo(converges=False)
 
@@ -37,7 +37,7 @@ class Good(Solver):
 
 @dataclass(frozen=True)
 class Outside(Solver):
-    """Follows a slope out of the box."""
+    """Leaves the box when it walks down a slope."""
 
     info: ClassVar[SolverInfo] = SolverInfo(converges=False)
 
@@ -52,7 +52,7 @@ class Outside(Solver):
 
 @dataclass(frozen=True)
 class Deaf(Solver):
-    """Swallows BudgetExhausted and asks again."""
+    """Catches BudgetExhausted and continues to evaluate."""
 
     info: ClassVar[SolverInfo] = SolverInfo(converges=False)
 
@@ -66,7 +66,7 @@ class Deaf(Solver):
 
 @dataclass(frozen=True)
 class Polite(Solver):
-    """Swallows BudgetExhausted and returns."""
+    """Catches BudgetExhausted and returns."""
 
     info: ClassVar[SolverInfo] = SolverInfo(converges=False)
 
@@ -79,7 +79,7 @@ class Polite(Solver):
 
 @dataclass(frozen=True)
 class Soothing(Solver):
-    """Takes an error of the problem for its own end."""
+    """Catches an error of the problem and returns."""
 
     info: ClassVar[SolverInfo] = SolverInfo(converges=False)
 
@@ -103,7 +103,7 @@ class GlobalDraws(Solver):
 
 @dataclass(frozen=True)
 class GlobalSeed(Solver):
-    """Seeds both global generators, reproducibly."""
+    """Seeds Python's global generator, reproducibly."""
 
     info: ClassVar[SolverInfo] = SolverInfo(converges=False)
 
@@ -115,7 +115,7 @@ class GlobalSeed(Solver):
 
 @dataclass(frozen=True)
 class OwnEntropy(Solver):
-    """Ignores its generator for one that the operating system seeds."""
+    """Ignores its generator and uses one that is seeded by the operating system."""
 
     info: ClassVar[SolverInfo] = SolverInfo(converges=False)
 
@@ -135,7 +135,7 @@ class HashOrder(Solver):
 
 @dataclass(frozen=True)
 class FixedSeed(Solver):
-    """Says it is stochastic, and draws the same numbers whatever the seed."""
+    """Claims to be stochastic, but draws the same numbers with every seed."""
 
     info: ClassVar[SolverInfo] = SolverInfo(converges=False)
 
@@ -145,7 +145,7 @@ class FixedSeed(Solver):
 
 @dataclass(frozen=True)
 class SecretlyRandom(Solver):
-    """Says it is deterministic, and is not."""
+    """Claims to be deterministic, but is not."""
 
     info: ClassVar[SolverInfo] = SolverInfo(stochastic=False, converges=False)
 
@@ -155,7 +155,7 @@ class SecretlyRandom(Solver):
 
 @dataclass(frozen=True)
 class WritesBounds(Solver):
-    """Shifts the bounds it was given."""
+    """Shifts the problem's bounds."""
 
     info: ClassVar[SolverInfo] = SolverInfo(converges=False)
 
@@ -167,7 +167,7 @@ class WritesBounds(Solver):
 
 @dataclass(frozen=True)
 class UnlocksBounds(Solver):
-    """Shrinks the box to where it wants to search."""
+    """Makes the bounds writeable and shrinks the box."""
 
     info: ClassVar[SolverInfo] = SolverInfo(converges=False)
 
@@ -178,10 +178,10 @@ class UnlocksBounds(Solver):
 
 
 @dataclass(frozen=True)
-class RemembersOnItself(Solver):
-    """Keeps state among its options.
+class StoresStateOnItself(Solver):
+    """Stores state in one of its options.
 
-    runs: how often it ran.
+    runs: number of runs so far.
     """
 
     runs: int = 0
@@ -205,7 +205,7 @@ class Idle(Solver):
 
 @dataclass(frozen=True)
 class Bypass(Solver):
-    """Evaluates behind the meter's back."""
+    """Evaluates the problem without the meter."""
 
     info: ClassVar[SolverInfo] = SolverInfo(converges=False)
 
@@ -216,7 +216,7 @@ class Bypass(Solver):
 
 @dataclass(frozen=True)
 class Hoarder(Solver):
-    """Plans for every evaluation the budget allows."""
+    """Allocates memory for every evaluation that the budget allows."""
 
     info: ClassVar[SolverInfo] = SolverInfo(converges=False)
 
@@ -240,7 +240,7 @@ class Fragile(Solver):
 
 @dataclass(frozen=True)
 class Flat(Solver):
-    """Divides by the spread of the values."""
+    """Divides by the range of the values."""
 
     info: ClassVar[SolverInfo] = SolverInfo(converges=False)
 
@@ -252,7 +252,7 @@ class Flat(Solver):
 
 @dataclass(frozen=True)
 class PlaneOnly(Solver):
-    """Breaks beyond two dimensions instead of declining."""
+    """Fails in more than two dimensions instead of declining."""
 
     info: ClassVar[SolverInfo] = SolverInfo(converges=False)
 
@@ -264,7 +264,7 @@ class PlaneOnly(Solver):
 
 @dataclass(frozen=True)
 class Declines(Solver):
-    """Says that it works in two dimensions alone."""
+    """Declines every dimension except two."""
 
     info: ClassVar[SolverInfo] = SolverInfo(converges=False)
 
@@ -276,7 +276,7 @@ class Declines(Solver):
 
 @dataclass(frozen=True)
 class Centre(Solver):
-    """Promises a global search and looks at one point."""
+    """Promises a global search, but evaluates a single point."""
 
     info: ClassVar[SolverInfo] = SolverInfo(stochastic=False, converges=False)
 
@@ -286,7 +286,7 @@ class Centre(Solver):
 
 @dataclass(frozen=True)
 class AbsoluteSteps(Solver):
-    """Walks in steps of an absolute length, which suits some boxes only."""
+    """Takes steps of an absolute length, which is suitable only for some boxes."""
 
     info: ClassVar[SolverInfo] = SolverInfo(converges=False)
 
@@ -317,13 +317,13 @@ class Talks(Solver):
     info: ClassVar[SolverInfo] = SolverInfo(converges=False)
 
     def minimize(self, problem, rng):
-        print("here we go")
+        print("starting the search")
         sample(problem, rng)
 
 
 @dataclass(frozen=True)
 class Undocumented(Solver):
-    """Has an option and does not say what it is."""
+    """Has an option that the docstring does not describe."""
 
     temperature: float = 1.0
 
@@ -338,7 +338,7 @@ HELD = []
 
 @dataclass(frozen=True)
 class Holds(Solver):
-    """Keeps every problem it has met."""
+    """Keeps a reference to every problem that it has minimized."""
 
     info: ClassVar[SolverInfo] = SolverInfo(converges=False)
 
@@ -348,55 +348,63 @@ class Holds(Solver):
 
 
 CAUGHT = [
-    (Outside, "bounds", "expected every point within the box, even where the minimum is in its corner, got x["),
-    (Deaf, "stops-when-told", "raised at evaluation 1, to leave minimize at once, got 2 further requests"),
-    (Polite, "stops-when-told", "got 0 further requests, and minimize returned"),
+    (Outside, "bounds", "within the bounds, even when the minimum is in a corner of the box, got x["),
+    (Deaf, "stops-when-told", "BudgetExhausted is raised at evaluation 1, got 2 further evaluation requests"),
+    (Polite, "stops-when-told", "got 0 further evaluation requests, and minimize returned normally"),
     (Soothing, "errors-pass", "a problem that raises at evaluation 300 to end the run as failed, got status ok"),
-    (GlobalDraws, "same-seed", "expected identical traces from one seed in this process"),
-    (GlobalDraws, "global-random-untouched", "the global state of np.random to be left alone"),
-    (GlobalSeed, "global-random-untouched", "the global state of random to be left alone"),
+    (GlobalDraws, "same-seed", "expected identical traces with the same seed in this process"),
+    (GlobalDraws, "global-random-untouched", "the global state of np.random to be unchanged"),
+    (GlobalSeed, "global-random-untouched", "the global state of random to be unchanged"),
     (OwnEntropy, "same-seed", "that differ from row"),
-    (HashOrder, "new-process", "expected identical traces from one seed in this and in a new process"),
-    (FixedSeed, "other-seed", "other points with another seed, info.stochastic being true, got the same points"),
-    (SecretlyRandom, "other-seed", "the same points whatever the seed, info.stochastic being false, got other points"),
-    (WritesBounds, "inputs-unchanged", "expected a run that reads the problem's arrays and changes none, got"),
-    (UnlocksBounds, "inputs-unchanged", "the meter's lower to stay as it was"),
-    (RemembersOnItself, "inputs-unchanged", "got {'runs': 2}"),
+    (HashOrder, "new-process", "expected identical traces with the same seed in this process and in a new one"),
+    (
+        FixedSeed,
+        "other-seed",
+        "different points with a different seed, because info.stochastic is true, got the same points",
+    ),
+    (
+        SecretlyRandom,
+        "other-seed",
+        "the same points with every seed, because info.stochastic is false, got different points",
+    ),
+    (WritesBounds, "inputs-unchanged", "expected a run that reads the problem's arrays but changes none of them, got"),
+    (UnlocksBounds, "inputs-unchanged", "the meter's lower bounds to be unchanged"),
+    (StoresStateOnItself, "inputs-unchanged", "the options {'runs': 1} to be unchanged, got {'runs': 2}"),
     (Idle, "budget", "returned without evaluating a point"),
-    (Bypass, "budget", "to count the same, at most 1, got 1 by the meter and 11 by the problem"),
-    (Hoarder, "budget-in-seconds", "where problem.remaining is huge, got failed"),
+    (Bypass, "budget", "the same number of evaluations, at most 1, got 1 in the meter and 11 in the problem"),
+    (Hoarder, "budget-in-seconds", "for which problem.remaining is very large, got failed"),
     (Fragile, "nan-plateau", "FloatingPointError: infinite value"),
     (Flat, "constant", "ZeroDivisionError"),
     (PlaneOnly, "dimensions", "status ok in 5 dimensions, got failed: IndexError: no third axis"),
-    (Centre, "finds-minimum", "of its range within 40000 evaluations"),
-    (AbsoluteSteps, "any-box", "measure steps and tolerances in widths of the box"),
+    (Centre, "finds-minimum", "of its range in 40000 evaluations, got"),
+    (AbsoluteSteps, "any-box", "measure steps and tolerances relative to the width of the box"),
     (Warns, "quiet", "RuntimeWarning: step size guessed"),
-    (Talks, "quiet", "here we go"),
-    (Holds, "released", "problems to be freed when their runs are over, got 3 of 3"),
-    (Undocumented, "described", "a docstring that explains every option, got nothing on temperature"),
+    (Talks, "quiet", "starting the search"),
+    (Holds, "released", "every problem to be freed after its run, got 3 of 3 problems"),
+    (Undocumented, "described", "a docstring that explains every option, got no entry for temperature"),
 ]
 
 
 @pytest.mark.parametrize(("cls", "check", "message"), CAUGHT)
-def test_the_check_fails_and_says_why(cls, check, message):
+def test_the_check_fails_with_the_reason(cls, check, message):
     (result,) = solver_checks(cls(), only=[check])
     assert not result.passed
     assert message in result.message
     assert result.message.endswith(".")
 
 
-def test_every_check_is_proven_able_to_fail():
+def test_every_check_fails_for_some_solver():
     assert {check for _, check, _ in CAUGHT} == set(check_names())
 
 
-def test_a_good_solver_passes_them_all():
+def test_a_good_solver_passes_every_check():
     results = list(solver_checks(Good()))
     assert results == [CheckResult(name, True, "") for name in check_names()]
     check_solver(Good())
 
 
-def test_failures_stay_apart():
-    """What one check finds does not make the others fail."""
+def test_one_failure_does_not_cause_others():
+    """A rule that a solver breaks makes only the check of that rule fail."""
     failed = {r.name for r in solver_checks(Warns()) if not r.passed}
     assert failed == {"quiet"}
     failed = {r.name for r in solver_checks(GlobalSeed(), only=[n for n in check_names() if n != "new-process"])}
@@ -418,14 +426,14 @@ def test_declining_a_dimension_passes_with_the_reason():
     assert "needs 2 unknowns, got 5" in results["finds-minimum"].message
 
 
-def test_the_global_random_states_are_left_as_they_were():
+def test_the_global_random_states_are_restored():
     states = random.getstate(), np.random.get_state()[1].tolist()  # noqa: NPY002
     list(solver_checks(GlobalDraws(), only=["same-seed", "global-random-untouched"]))
     assert random.getstate() == states[0]
     assert np.random.get_state()[1].tolist() == states[1]  # noqa: NPY002
 
 
-def test_a_solver_of_a_plugin_file_is_found_again_in_a_new_process(tmp_path):
+def test_a_solver_from_a_plugin_file_is_loaded_in_a_new_process(tmp_path):
     import importlib.util
 
     file = tmp_path / "my solver.py"
@@ -440,7 +448,7 @@ def test_a_solver_of_a_plugin_file_is_found_again_in_a_new_process(tmp_path):
             class Mine(Solver):
                 """Uniform points.
 
-                batch: points at a time.
+                batch: number of points per evaluation call.
                 """
 
                 batch: int = 5
@@ -463,23 +471,23 @@ def test_a_solver_of_a_plugin_file_is_found_again_in_a_new_process(tmp_path):
     assert result == CheckResult("new-process", True, "")
 
 
-def test_a_solver_that_no_other_process_can_import_is_told_so():
+def test_a_solver_that_another_process_cannot_import_fails_with_a_hint():
     @dataclass(frozen=True)
     class Local(Good):
-        """Lives in a function."""
+        """Is defined in a function."""
 
     (result,) = solver_checks(Local(), only=["new-process"])
     assert not result.passed
     assert "Define the class at the top level of a file." in result.message
 
 
-def test_an_unknown_check_is_named():
+def test_an_unknown_check_is_an_error():
     with pytest.raises(ValueError, match=r"expected names of checks \(described, budget, .*got speed"):
         list(solver_checks(Good(), only=["speed"]))
 
 
 @pytest.mark.parametrize("shape", ["bowl", "flat", "falling", "rising"])
-def test_the_probes_gradient_is_that_of_differences(shape):
+def test_the_gradient_of_the_probe_agrees_with_central_differences(shape):
     probe = Probe(np.array([-1.0, 2.0]), np.array([1.0, 7.0]), shape, gradient=True)
     x = np.array([0.3, 4.0])
     value, gradient = probe.value_and_gradient(x)
@@ -488,7 +496,7 @@ def test_the_probes_gradient_is_that_of_differences(shape):
     assert value == probe.evaluate(x[None, :])[0]
 
 
-def test_the_probes_range_spans_its_values():
+def test_the_range_of_the_probe_covers_its_values():
     probe = Probe(np.array([-1.0, 2.0]), np.array([1.0, 7.0]))
     values = probe.evaluate(np.random.default_rng(0).uniform(probe.lower, probe.upper, (20_000, 2)))
     assert values.min() < 1e-3

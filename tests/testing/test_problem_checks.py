@@ -1,4 +1,4 @@
-"""Problems and scenarios that each break one rule: the check of that rule must fail and say why."""
+"""Problems and scenarios that each break one rule: the check of that rule must fail with the reason."""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -10,7 +10,7 @@ from nfbench import Instance, Problem, ProblemInstance, Scenario
 from nfbench.plugins.registry import Registry
 from nfbench.problems.functions import Direct, Functions
 from nfbench.testing import check_problem, check_scenario, problem_checks, scenario_check_names, scenario_checks
-from nfbench.testing.problem_checks import solved_by
+from nfbench.testing.scenario_checks import solved_by
 
 
 class Good(Problem):
@@ -102,20 +102,20 @@ def failed(results):
     [
         (Unbounded, "box", "upper to be a vector of finite numbers"),
         (Swapped, "box", "lower < upper"),
-        (Column, "values", "one value a row: shape (64,)"),
-        (EdgeNaN, "values", "a number everywhere in the box, its edges and corners too, got nan at x = [-1.0"),
-        (Flat, "values", "values that differ, got 1.0 at each"),
-        (AcrossRows, "batch", "Treat each row of X by itself"),
-        (Noisy, "repeats", "the same values when asked again"),
-        (Greedy, "input-unchanged", "Copy before changing"),
-        (WrongSign, "gradient", "mind the sign"),
-        (WrongScale, "gradient", "of central differences"),
-        (WrongValue, "gradient", "value_and_gradient to give the value"),
+        (Column, "values", "one value per row: shape (64,)"),
+        (EdgeNaN, "values", "a number everywhere in the box, including its faces and corners, got nan at x = [-1.0"),
+        (Flat, "values", "values that differ between points, got 1.0 at each"),
+        (AcrossRows, "batch", "Treat each row of X independently"),
+        (Noisy, "repeats", "the same values when the same points are evaluated again, got different values"),
+        (Greedy, "input-unchanged", "Copy X before you change it"),
+        (WrongSign, "gradient", "check its sign"),
+        (WrongScale, "gradient", "the gradient to equal central differences"),
+        (WrongValue, "gradient", "value_and_gradient to return the value"),
     ],
 )
 def test_a_problem_that_breaks_a_rule_fails_its_check(cls, check, words):
-    told = failed(problem_checks(cls([0.3, 0.9, 1.4])))
-    assert words in told[check], told
+    messages = failed(problem_checks(cls([0.3, 0.9, 1.4])))
+    assert words in messages[check], messages
     with pytest.raises(AssertionError, match=f"{cls.__name__} fails"):
         check_problem(cls([0.3, 0.9, 1.4]))
 
@@ -144,7 +144,10 @@ class Hidden(ProblemInstance):
 
 @dataclass(frozen=True)
 class Fine(Scenario):
-    """A hidden point. dimension: of it."""
+    """A point to find.
+
+    dimension: number of coordinates of the point.
+    """
 
     instance: ClassVar[type[Instance]] = Hidden
     error: ClassVar[str] = "error"
@@ -183,7 +186,10 @@ class GoodElsewhere(Instance):
 def drawing(cls, **more):
     @dataclass(frozen=True)
     class Own(Fine):
-        """A hidden point. dimension: of it."""
+        """A point to find.
+
+        dimension: number of coordinates of the point.
+        """
 
         instance: ClassVar[type[Instance]] = more.get("instance", cls)
 
@@ -197,33 +203,34 @@ def drawing(cls, **more):
 @pytest.mark.parametrize(
     ("scenario", "check", "words"),
     [
-        (drawing(Lenient), "score", "expected a ValueError for an estimate of a wrong shape"),
+        (drawing(Lenient), "score", "expected score to raise ValueError for an estimate of the wrong shape"),
         (drawing(Mistaken), "truth", "error of the truth to be 0, got 0.14"),
-        (drawing(Renamed), "score", "a dict with 'error', by which methods are ranked, got {'eror'"),
-        (drawing(Hidden, instance=GoodElsewhere), "draw", "draw to return a GoodElsewhere, as `instance` says"),
+        (drawing(Renamed), "score", "a dict that contains 'error', by which methods are ranked, got {'eror'"),
+        (drawing(Hidden, instance=GoodElsewhere), "draw", "draw to return a GoodElsewhere, as declared by `instance`"),
         (drawing(Hidden, rng=None), "same-seed", "the same problems from the same seed"),
-        (drawing(Hidden, rng=None), "global-random-untouched", "rng.normal() in place of np.random.normal()"),
-        (drawing(Hidden, rng=np.random.default_rng(3)), "same-seed", "from no state of the class or the module"),
+        (drawing(Hidden, rng=None), "global-random-untouched", "rng.normal() instead of np.random.normal()"),
+        (drawing(Hidden, rng=np.random.default_rng(3)), "same-seed", "use no state of the class or the module"),
     ],
 )
 def test_a_scenario_that_breaks_a_rule_fails_its_check(scenario, check, words):
-    told = failed(scenario_checks(scenario, [Direct()]))
-    assert words in told[check], told
+    messages = failed(scenario_checks(scenario, [Direct()]))
+    assert words in messages[check], messages
 
 
-def test_a_scenario_that_nothing_solves_is_told_how_to_mend_it():
-    told = failed(scenario_checks(Fine(), []))
-    assert "Derive the instance from nfbench.ProblemInstance, which `direct` solves" in told["formulations"]
+def test_a_scenario_without_a_formulation_fails_with_a_hint():
+    messages = failed(scenario_checks(Fine(), []))
+    hint = "Derive the instance from nfbench.ProblemInstance, which the formulation `direct` solves"
+    assert hint in messages["formulations"]
 
 
-def test_formulations_are_found_by_what_they_accept():
+def test_formulations_are_found_by_the_instances_they_accept():
     registry = Registry()
-    assert [type(made).__name__ for made in solved_by(registry, Fine())] == ["Direct"]
-    names = {type(made).__name__ for made in solved_by(registry, Functions())}
+    assert [type(formulation).__name__ for formulation in solved_by(registry, Fine())] == ["Direct"]
+    names = {type(formulation).__name__ for formulation in solved_by(registry, Functions())}
     assert names == {"Direct"}
 
 
-def test_the_global_random_states_are_left_as_found():
+def test_the_global_random_states_are_restored():
     before = np.random.get_state()[1].copy()  # noqa: NPY002
     list(scenario_checks(Fine(), [Direct()]))
     assert np.array_equal(before, np.random.get_state()[1])  # noqa: NPY002

@@ -1,4 +1,4 @@
-"""A scenario, formulations and solvers small enough to reason about, for the tests of the framework."""
+"""Small scenarios, formulations and solvers for the tests of the framework."""
 
 import ctypes
 import math
@@ -37,7 +37,12 @@ class ToyInstance(Instance):
 
 @dataclass(frozen=True)
 class ToyScenario(Scenario):
-    """A hidden point in a box."""
+    """An unknown point in a box.
+
+    dimension: number of coordinates of the point.
+    noise: stored in the instance; it has no effect.
+    names: an option whose value is a list; it has no effect.
+    """
 
     name: ClassVar[str] = "toy"
     instance: ClassVar[type[Instance]] = ToyInstance
@@ -52,7 +57,10 @@ class ToyScenario(Scenario):
 
 @dataclass(frozen=True)
 class Once(Formulation):
-    """Minimizes one bowl."""
+    """Minimizes one bowl.
+
+    shift: added to every coordinate of the bowl's centre.
+    """
 
     accepts: ClassVar[type[Instance]] = ToyInstance
 
@@ -74,7 +82,7 @@ class Twice(Formulation):
 
 @dataclass(frozen=True)
 class Oracle(Formulation):
-    """Knows the answer, and that only for two dimensions."""
+    """Returns the true point; works only in two dimensions."""
 
     accepts: ClassVar[type[Instance]] = ToyInstance
     needs_solver: ClassVar[bool] = False
@@ -105,7 +113,10 @@ class NotANumber(Formulation):
 
 @dataclass(frozen=True)
 class Sampler(Solver):
-    """Uniform samples in batches."""
+    """Evaluates uniform random samples in batches.
+
+    batch: number of points per batch.
+    """
 
     info = SolverInfo(batched=True, converges=False)
     batch: Annotated[int, Ge(1)] = 8
@@ -160,7 +171,7 @@ class Sleeps(Solver):
 
 @dataclass(frozen=True)
 class Spins(Solver):
-    """A loop in C that sees no Python signal handler."""
+    """Runs a loop in C, during which Python does not call signal handlers."""
 
     def minimize(self, problem, rng):
         sum(range(10**15))
@@ -168,7 +179,7 @@ class Spins(Solver):
 
 @dataclass(frozen=True)
 class Stubborn(Solver):
-    """Will not be asked to end."""
+    """Ignores SIGTERM."""
 
     def minimize(self, problem, rng):
         signal.signal(signal.SIGTERM, signal.SIG_IGN)

@@ -1,1 +1,1 @@
-"""How an instance becomes an estimate: one formulation per file."""
+"""The near-field estimators: one formulation per file."""

@@ -1,4 +1,4 @@
-"""Grid and refinement: a coarse greedy search of the signal subspace, then a local one over all sources."""
+"""Grid and refinement: a greedy search on a coarse grid, followed by a local search over all sources."""
 
 from __future__ import annotations
 
@@ -23,21 +23,28 @@ from .refinement import refine, resolution
 
 __all__ = ["GridRefine", "resolution_grid"]
 
-SAMPLES = 61  # directions along each angle at which the width of a beam is taken
+SAMPLES = 61  # directions along each angle at which the beamwidth is computed
 
 
 @final
 @dataclass(frozen=True)
 class GridRefine(Formulation):
-    """ESF minimized without an optimizer: what a global one has to beat.
+    """ESF minimized by a grid search and local refinement: a baseline for global optimizers.
 
-    Sources are chosen one by one from a grid as fine as the array resolves, each where the span of all grows most
-    towards the signal subspace (orthogonal least squares; Chen, Billings & Luo 1989), and then refined
-    together by L-BFGS-B. Then, as in alternating projection (Ziskind & Wax 1988), each in turn is chosen anew given the
-    others and all are refined again, until a sweep over the sources gains nothing.
+    Sources are chosen one by one from a grid whose spacing matches the resolution of the array. Each is placed where it
+    reduces ESF most, given the sources chosen before (orthogonal least squares; Chen, Billings & Luo 1989). All sources
+    are then refined together by L-BFGS-B. After that, as in alternating projection (Ziskind & Wax 1988), each source in
+    turn is chosen again given the others and all are refined again, until a sweep over the sources brings no
+    improvement.
 
-    density: grid points a beamwidth, and a depth of focus. sweeps: how often at most each source is chosen anew.
-    wavefront: what the estimator assumes (default: the scenario's). sources, criterion: how many, as of ``neef``.
+    density: number of grid points per beamwidth in each angle, and per depth of focus in inverse range.
+    sweeps: maximum number of sweeps, in each of which every source is chosen again once.
+    wavefront: wavefront model that the estimator assumes, "exact", "fresnel", "paper" or "planar"; None: that of the
+        scenario.
+    sources: number of sources to search for: "known" is the true number, "estimate" is an estimate from the data by
+        ``criterion``, and an integer is used as given, even if it is wrong.
+    criterion: criterion by which the number of sources is estimated: "aic", "mdl" or "ne" (Nadakuditi & Edelman); used
+        only if ``sources`` is "estimate".
     """
 
     accepts: ClassVar[type[Instance]] = NearFieldInstance
@@ -50,7 +57,7 @@ class GridRefine(Formulation):
     criterion: Criterion = "ne"
 
     def solve(self, instance: NearFieldInstance, minimize: Minimize) -> Float[ndarray, "k d"]:
-        """The sources (K, d) [rad, m]. Raises Incompatible with fewer snapshots than sources."""
+        """Return the sources (K, d) [rad, m]; raises Incompatible if there are fewer snapshots than sources."""
         K = how_many(instance, self.sources, self.criterion)
         if K == 0:
             return np.empty((0, instance.manifold.dimension))
@@ -81,10 +88,16 @@ class GridRefine(Formulation):
 def resolution_grid(
     manifold: Manifold, lower: Float[ndarray, " d"], upper: Float[ndarray, " d"], density: float
 ) -> Float[ndarray, "p d"]:
-    """Points of the box so many a beamwidth in each angle and a depth of focus in inverse range, ends included.
+    """Return a grid of points (p, d) [rad, m] in the box, including its ends.
 
-    A beam from direction u is λ/E wide in an angle, E the extent of q_m·∂u/∂angle over the array; so along a ULA the
-    points are uniform in sinφ. Elevations are as dense as any azimuth needs, and azimuths as any elevation.
+    The beamwidth at direction u in an angle is λ/E, where E is the extent of q_m·∂u/∂angle over the array; for a ULA
+    the points are therefore uniform in sinφ. The spacing of elevations is fine enough for every azimuth, and vice
+    versa.
+
+    manifold: array and wavefront model.
+    lower: lower bounds of one source [rad, m], shape (d,).
+    upper: upper bounds of one source [rad, m], shape (d,).
+    density: number of grid points per beamwidth in each angle, and per depth of focus in inverse range.
     """
     angles = manifold.dimension - 1
     fine = [np.linspace(low, high, SAMPLES) for low, high in zip(lower[:angles], upper[:angles], strict=True)]
@@ -94,8 +107,8 @@ def resolution_grid(
     axes = []
     for i, axis in enumerate(fine):
         rate = beams[..., i].max(axis=tuple(j for j in range(angles) if j != i))
-        passed = np.concatenate([[0.0], np.cumsum((rate[1:] + rate[:-1]) / 2 * np.diff(axis))])
-        axes.append(np.interp(_uniform(0.0, passed[-1], density), passed, axis))
+        beamwidths = np.concatenate([[0.0], np.cumsum((rate[1:] + rate[:-1]) / 2 * np.diff(axis))])
+        axes.append(np.interp(_uniform(0.0, beamwidths[-1], density), beamwidths, axis))
     depth = resolution(manifold)[1]
     axes.append(1 / (_uniform(1 / upper[-1] / depth, 1 / lower[-1] / depth, density) * depth))
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, angles + 1)
@@ -108,12 +121,12 @@ def _uniform(first: float, last: float, density: float) -> Float[ndarray, " n"]:
 def _gains(
     U_s: Complex[ndarray, "m k"], manifold: Manifold, theta: Float[ndarray, "j d"], grid: Float[ndarray, "p d"]
 ) -> Float[ndarray, " p"]:
-    """By how much each point of a grid would lower ESF beside sources ``theta``: ‖U_sᴴP⊥a‖²/‖P⊥a‖²."""
+    """Return ‖U_sᴴP⊥a‖²/‖P⊥a‖² of each grid point, by which it would lower ESF if added to the sources ``theta``."""
     M = manifold.elements
     if not len(theta):
         return kernels.projected_energy(*manifold.packed, kernels.pack_rows(compress(U_s)), grid) / M
     Q = np.linalg.qr(manifold.response(theta).T).Q
-    rest = U_s - Q @ (Q.conj().T @ U_s)
-    gained = kernels.projected_energy(*manifold.packed, kernels.pack_rows(compress(rest)), grid)
-    left = M - kernels.projected_energy(*manifold.packed, kernels.pack_rows(compress(Q)), grid)
-    return np.where(left > 1e-6 * M, gained / np.maximum(left, 1e-6 * M), 0.0)
+    residual = U_s - Q @ (Q.conj().T @ U_s)
+    gained = kernels.projected_energy(*manifold.packed, kernels.pack_rows(compress(residual)), grid)
+    norm = M - kernels.projected_energy(*manifold.packed, kernels.pack_rows(compress(Q)), grid)
+    return np.where(norm > 1e-6 * M, gained / np.maximum(norm, 1e-6 * M), 0.0)

@@ -1,4 +1,4 @@
-"""Modified MUSIC: angles first, from what is free of range, then a range for each."""
+"""Modified MUSIC: first the angles, from statistics that do not depend on range, then a range for each angle."""
 
 from __future__ import annotations
 
@@ -26,16 +26,21 @@ __all__ = ["ModifiedMusic"]
 @final
 @dataclass(frozen=True)
 class ModifiedMusic(Formulation):
-    """MUSIC by searches along lines (He, Swamy & Ahmad 2012, IEEE Trans. Signal Process. 60(4)).
+    """MUSIC with one-dimensional searches (He, Swamy & Ahmad 2012, IEEE Trans. Signal Process. 60(4)).
 
     In a centred ULA the quadratic phases of elements m and M+1−m are equal, so that the anti-diagonal of the covariance
-    z_m = R[m, M+1−m] = Σ p_k·exp(j2k·x_m·sinφ_k) depends on the angles alone. Its own MUSIC spectrum has K angles as
-    peaks, and the spectrum of 2D MUSIC is searched along each of them for a range. The cubic phase of an exact
-    wavefront is odd and biases the angles. Two sources at one angle are seen as one.
+    z_m = R[m, M+1−m] = Σ p_k·exp(j2k·x_m·sinφ_k) depends only on the angles. The K highest peaks of the MUSIC spectrum
+    of z are the angles, and for each angle the spectrum of 2D MUSIC is searched for the range. The cubic phase of an
+    exact wavefront is odd, and biases the angles. Two sources at the same angle are detected as one.
 
-    grid: points in azimuth and range. refine: climb on from the grid's points, in azimuth and then in range.
-    wavefront: what the search for ranges assumes (default: the scenario's). sources, criterion: how many, as of
-    ``neef``.
+    grid: table with the numbers of grid points in azimuth and range.
+    refine: whether to refine the grid points by L-BFGS-B, first in azimuth and then in range.
+    wavefront: wavefront model that the search for ranges assumes, "exact", "fresnel", "paper" or "planar"; None: that
+        of the scenario.
+    sources: number of sources to search for: "known" is the true number, "estimate" is an estimate from the data by
+        ``criterion``, and an integer is used as given, even if it is wrong.
+    criterion: criterion by which the number of sources is estimated: "aic", "mdl" or "ne" (Nadakuditi & Edelman); used
+        only if ``sources`` is "estimate".
     """
 
     accepts: ClassVar[type[Instance]] = NearFieldInstance
@@ -48,10 +53,10 @@ class ModifiedMusic(Formulation):
     criterion: Criterion = "ne"
 
     def solve(self, instance: NearFieldInstance, minimize: Minimize) -> Float[ndarray, "k d"]:
-        """The sources (K, 2), highest peak in angle first [rad, m]; fewer where the angles have fewer peaks.
+        """Return the sources (K, 2) [rad, m], the highest peak in angle first; fewer if there are fewer peaks.
 
-        Raises Incompatible in 3D; for all but a centred ULA along y of spacing below λ/(4·sinφ_max); for 2K elements
-        or fewer; and with fewer snapshots than sources.
+        Raises Incompatible if the scenario has elevation, if the array is not a centred ULA along y with a spacing
+        below λ/(4·sinφ_max), if it has 2K elements or fewer, or if there are fewer snapshots than sources.
         """
         K, M = how_many(instance, self.sources, self.criterion), len(instance.Y)
         spacing = _spacing(instance)
@@ -63,12 +68,13 @@ class ModifiedMusic(Formulation):
         azimuths, ranges = self.grid.axes(instance.lower, instance.upper)
 
         U_z = _angle_subspace(instance.Y, K)
-        places = np.zeros((len(U_z), 3))
-        places[:, 1] = 2 * spacing * np.arange(len(U_z))
-        far = Manifold(places, instance.manifold.wavelength_m, "planar", has_elevation=False)  # b_i = exp(j2kδ·i·sinφ)
+        positions = np.zeros((len(U_z), 3))
+        positions[:, 1] = 2 * spacing * np.arange(len(U_z))
+        # b_i = exp(j2kδ·i·sinφ)
+        far = Manifold(positions, instance.manifold.wavelength_m, "planar", has_elevation=False)
         estimate = grid_maxima(U_z, far, [azimuths, ranges[:1]], K)
         if self.refine:
-            angles = RLS(U_z, far, instance.lower, instance.upper)  # lowest where 1/(L − ‖U_zᴴb‖²) is highest
+            angles = RLS(U_z, far, instance.lower, instance.upper)  # minimal where 1/(L − ‖U_zᴴb‖²) is maximal
             estimate = np.array([refine(angles, theta, far) for theta in estimate])
 
         manifold = instance.manifold.under(self.wavefront)
@@ -82,34 +88,34 @@ class ModifiedMusic(Formulation):
 
 
 def _spacing(instance: NearFieldInstance) -> float:
-    """The step δ along y from element to element [m]; raises Incompatible where the method does not apply."""
+    """Return the spacing δ of the elements along y [m]; raises Incompatible if the method does not apply."""
     if instance.manifold.has_elevation:
-        raise Incompatible("modified MUSIC works in the plane only; expected a scenario without elevation_deg")
+        raise Incompatible("elevation_deg: expected none, as modified MUSIC works in the plane only, got an interval")
     Q, wavelength = instance.manifold.positions, instance.manifold.wavelength_m
     steps = np.diff(Q, axis=0)
     spacing = float(steps[:, 1].mean())
     if not np.allclose(steps, [0.0, spacing, 0.0], rtol=0, atol=1e-6 * wavelength):
-        raise Incompatible("array: modified MUSIC expects a uniform linear array along y, got another geometry")
+        raise Incompatible("array: expected a uniform linear array along y for modified MUSIC, got another geometry")
     if not np.allclose(Q.mean(axis=0), 0.0, rtol=0, atol=1e-6 * wavelength):
         raise Incompatible(
-            'array.origin: modified MUSIC expects "center", got another origin, from where the phases of elements '
-            "m and M+1−m differ and its angles come out as sinφ − (M−1)δ/(2r)"
+            'array.origin: expected "center" for modified MUSIC, got another origin, for which the phases of elements '
+            "m and M+1−m differ, and sinφ would be estimated as sinφ − (M−1)δ/(2r)"
         )
-    broadest = np.clip([-np.pi / 2, np.pi / 2], instance.lower[0], instance.upper[0])
-    most = float(np.abs(np.sin([instance.lower[0], instance.upper[0], *broadest])).max())  # sinφ_max
-    if not abs(spacing) < wavelength / (4 * most):
+    endfire = np.clip([-np.pi / 2, np.pi / 2], instance.lower[0], instance.upper[0])
+    sin_max = float(np.abs(np.sin([instance.lower[0], instance.upper[0], *endfire])).max())  # sinφ_max
+    if not abs(spacing) < wavelength / (4 * sin_max):
         raise Incompatible(
-            f"array: modified MUSIC expects a spacing below λ/(4·sinφ_max) = {1 / (4 * most):.4g} λ, "
-            f"got {abs(spacing) / wavelength:.4g} λ, at which its angles are ambiguous"
+            f"array: expected a spacing below λ/(4·sinφ_max) = {1 / (4 * sin_max):.4g} λ for modified MUSIC, "
+            f"got {abs(spacing) / wavelength:.4g} λ, for which the angles are ambiguous"
         )
     return spacing
 
 
 def _angle_subspace(Y: Complex[ndarray, "m t"], sources: int) -> Complex[ndarray, "l k"]:
-    """U_z, (L, K), which spans the b(φ_k) but for noise, from the anti-diagonal of R̂; L = ⌈M/2⌉.
+    """Return U_z (L, K), L = ⌈M/2⌉, from the anti-diagonal of R̂; without noise it spans the b(φ_k).
 
-    Odd M: eigenvectors of the Hermitian Toeplitz matrix of z. Even M has lags of half integers, of which none can be
-    formed: left singular vectors of the L×(M−L+1) Hankel matrix.
+    For odd M it consists of eigenvectors of the Hermitian Toeplitz matrix of z. For even M the lags are half-integers,
+    from which no such matrix can be formed; U_z then consists of left singular vectors of the L×(M−L+1) Hankel matrix.
     """
     z = np.vecdot(Y[::-1], Y) / Y.shape[1]  # z_m = Σ_t Y[m, t]·Y[M+1−m, t]*/T
     L = (len(z) + 1) // 2

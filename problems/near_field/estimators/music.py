@@ -1,4 +1,4 @@
-"""MUSIC: the places on a grid whose responses lie closest to the signal subspace."""
+"""MUSIC: the points of a grid whose responses lie closest to the signal subspace."""
 
 from __future__ import annotations
 
@@ -24,12 +24,13 @@ from .refinement import refine
 __all__ = ["Grid", "Music", "grid_maxima", "pick_peaks"]
 
 SAME_PEAK = 0.9999
-"""The squared correlation |a₁ᴴa₂|²/M² from which on two climbed maxima are one peak.
+"""The squared correlation |a₁ᴴa₂|²/M² above which two refined maxima are considered the same peak.
 
-Climbs to one peak end within 1e-6 of 1; two sources as alike as this are not two peaks at any realistic SNR."""
+Local searches that end at the same peak agree to within 1e-6 of 1. Two sources with a correlation as high as this do
+not form two peaks at any realistic SNR."""
 
-KEEP = 1000  # grid maxima remembered; a ridge makes some ten
-BLOCK = 2**17  # grid points at once, or one azimuth's if these are more
+KEEP = 1000  # number of grid maxima kept; a ridge has about ten
+BLOCK = 2**17  # grid points computed at once, or those of one azimuth if these are more
 
 _Points: TypeAlias = Annotated[int, Ge(2)] | None
 
@@ -37,10 +38,11 @@ _Points: TypeAlias = Annotated[int, Ge(2)] | None
 @final
 @dataclass(frozen=True)
 class Grid(Options):
-    """Points on each side of the box, both ends included; what is left out is the paper's.
+    """The numbers of grid points along each side of the box, including both ends.
 
-    azimuth: 400 in the plane, 200 with elevation. elevation: 200, only where the scenario has elevation. range: 2000 in
-    the plane, 400 with elevation.
+    azimuth: number of azimuths; None: that of the paper, 400 without elevation and 200 with elevation.
+    elevation: number of elevations, only for scenarios with elevation; None: that of the paper, 200.
+    range: number of ranges; None: that of the paper, 2000 without elevation and 400 with elevation.
     """
 
     azimuth: _Points = None
@@ -48,9 +50,12 @@ class Grid(Options):
     range: _Points = None
 
     def axes(self, lower: Float[ndarray, " d"], upper: Float[ndarray, " d"]) -> list[Float[ndarray, " _"]]:
-        """The coordinates along each side of a box [rad, m]. Raises Incompatible for elevations in the plane."""
+        """Return the coordinates along each side of a box [rad, m].
+
+        Raises Incompatible if ``elevation`` is given and the scenario has no elevation.
+        """
         if len(lower) == 2 and self.elevation is not None:
-            raise Incompatible(f"grid.elevation: expected none for a scenario in the plane, got {self.elevation}")
+            raise Incompatible(f"grid.elevation: expected none without elevation_deg, got {self.elevation}")
         if len(lower) == 2:
             counts = [self.azimuth or 400, self.range or 2000]
         else:
@@ -63,12 +68,18 @@ class Grid(Options):
 class Music(Formulation):
     """2D and 3D MUSIC: the K highest distinct peaks of 1/(M − ‖U_sᴴa‖²) on a grid (Schmidt 1986; Huang & Barkat 1991).
 
-    A peak whose ridge lies oblique to the grid has several local maxima there. Maxima that climb to one and the same
-    peak of the continuous spectrum count once, by the highest. Where there are fewer than K distinct peaks the
-    estimate is filled up with the highest maxima left.
+    If the ridge of a peak is oblique to the grid, it has several local maxima on the grid. Maxima from which a local
+    search reaches the same peak of the continuous spectrum are counted once, by the highest of them. If there are fewer
+    than K distinct peaks, the highest remaining maxima complete the estimate.
 
-    grid: points in azimuth, elevation and range. refine: report the peaks climbed to instead of the grid's points.
-    wavefront: what the estimator assumes (default: the scenario's). sources, criterion: how many, as of ``neef``.
+    grid: table with the numbers of grid points in azimuth, elevation and range.
+    refine: whether to return the refined peaks instead of the grid points.
+    wavefront: wavefront model that the estimator assumes, "exact", "fresnel", "paper" or "planar"; None: that of the
+        scenario.
+    sources: number of sources to search for: "known" is the true number, "estimate" is an estimate from the data by
+        ``criterion``, and an integer is used as given, even if it is wrong.
+    criterion: criterion by which the number of sources is estimated: "aic", "mdl" or "ne" (Nadakuditi & Edelman); used
+        only if ``sources`` is "estimate".
     """
 
     accepts: ClassVar[type[Instance]] = NearFieldInstance
@@ -81,9 +92,10 @@ class Music(Formulation):
     criterion: Criterion = "ne"
 
     def solve(self, instance: NearFieldInstance, minimize: Minimize) -> Float[ndarray, "k d"]:
-        """The sources (K, d), highest peak first [rad, m]; fewer where the grid has fewer local maxima.
+        """Return the sources (K, d) [rad, m], the highest peak first; fewer if the grid has fewer local maxima.
 
-        Raises Incompatible with fewer snapshots than sources, or for a grid in elevation in the plane.
+        Raises Incompatible if there are fewer snapshots than sources, or if the grid has elevations and the scenario
+        has none.
         """
         K = how_many(instance, self.sources, self.criterion)
         if K == 0:
@@ -92,7 +104,7 @@ class Music(Formulation):
         manifold = instance.manifold.under(self.wavefront)
         U_s = signal_subspace(instance.Y, K)
         maxima = grid_maxima(U_s, manifold, axes, KEEP)
-        # ‖(I − P_a)U_s‖² = K − ‖U_sᴴa‖²/M: RLS on the signal subspace has its minima where the spectrum has its peaks
+        # ‖(I − P_a)U_s‖² = K − ‖U_sᴴa‖²/M: the minima of RLS of the signal subspace are the peaks of the spectrum
         spectrum = RLS(U_s, manifold, instance.lower, instance.upper)
         points, peaks = pick_peaks(spectrum, manifold, maxima, K)
         return peaks if self.refine else points
@@ -101,11 +113,15 @@ class Music(Formulation):
 def grid_maxima(
     U_s: Complex[ndarray, "m k"], manifold: Manifold, axes: list[Float[ndarray, " _"]], keep: int
 ) -> Float[ndarray, "p d"]:
-    """The highest local maxima of ‖U_sᴴa‖² on a grid among all their neighbours, corners too, highest first.
+    """Return the highest local maxima of ‖U_sᴴa‖² on a grid, shape (p, d) [rad, m], in descending order.
 
-    The grid is streamed: some azimuths at a time are held, with the two before them. A plateau counts once.
+    A maximum is not lower than any of its neighbours, including the diagonal ones. A plateau counts once. The grid is
+    never stored as a whole: only a block of azimuths and the two azimuths before it are held at a time.
 
-    axes: the grid's coordinates in azimuth, (elevation,) range. keep: how many maxima at most.
+    U_s: signal subspace, shape (M, K).
+    manifold: array and wavefront model.
+    axes: coordinates of the grid in azimuth, (elevation,) range [rad, m].
+    keep: maximum number of maxima.
     """
     rows = kernels.pack_rows(compress(U_s))
     azimuth, slab = axes[0], tuple(len(axis) for axis in axes[1:])
@@ -115,9 +131,9 @@ def grid_maxima(
     window = np.full((2, *slab), -np.inf)
     points, heights = np.empty((0, len(axes))), np.empty(0)
     for first in range(0, len(azimuth) + 1, count):
-        turn = azimuth[first : first + count]
-        X[: len(turn), ..., 0] = turn.reshape(-1, *[1] * len(slab))
-        new = kernels.projected_energy(*manifold.packed, rows, X[: len(turn)].reshape(-1, len(axes)))
+        block = azimuth[first : first + count]
+        X[: len(block), ..., 0] = block.reshape(-1, *[1] * len(slab))
+        new = kernels.projected_energy(*manifold.packed, rows, X[: len(block)].reshape(-1, len(axes)))
         edge = np.full((1 if first + count > len(azimuth) else 0, *slab), -np.inf)  # beyond the last azimuth
         window = np.concatenate([window[-2:], new.reshape(-1, *slab), edge])
         is_highest = (window == maximum_filter(window, 3, mode="constant", cval=-np.inf))[1:-1]
@@ -137,9 +153,14 @@ def grid_maxima(
 def pick_peaks(
     spectrum: RLS, manifold: Manifold, maxima: Float[ndarray, "p d"], count: int
 ) -> tuple[Float[ndarray, "k d"], Float[ndarray, "k d"]]:
-    """The highest maxima that climb to different peaks, and these peaks; ``maxima`` come highest first.
+    """Return the highest maxima from which a local search reaches different peaks, and these peaks.
 
-    Where there are fewer peaks than ``count``, the highest maxima left fill up both, as far as they go.
+    If there are fewer peaks than ``count``, the highest remaining maxima are appended to both, as far as there are any.
+
+    spectrum: RLS of the signal subspace, whose minima are the peaks.
+    manifold: array and wavefront model.
+    maxima: points (p, d) [rad, m], the highest first.
+    count: number of peaks to return.
     """
     M, d = manifold.elements, manifold.dimension
     points, peaks, twins = np.empty((0, d)), np.empty((0, d)), np.empty((0, d))
@@ -147,8 +168,8 @@ def pick_peaks(
         if len(points) == count:
             break
         peak = refine(spectrum, point, manifold)
-        alike = np.abs(manifold.response(peaks).conj() @ manifold.response(peak)) ** 2 >= SAME_PEAK * M**2
-        if alike.any():
+        is_same = np.abs(manifold.response(peaks).conj() @ manifold.response(peak)) ** 2 >= SAME_PEAK * M**2
+        if is_same.any():
             twins = np.vstack([twins, point])
         else:
             points, peaks = np.vstack([points, point]), np.vstack([peaks, peak])

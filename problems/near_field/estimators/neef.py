@@ -1,4 +1,4 @@
-"""NEEF: all sources at once, fitted to the signal subspace."""
+"""NEEF: fits all sources at once to the signal subspace."""
 
 from __future__ import annotations
 
@@ -24,11 +24,15 @@ __all__ = ["Neef"]
 @final
 @dataclass(frozen=True)
 class Neef(Formulation):
-    """Near-field eigen-subspace fitting: minimize ESF once, over all sources (Mousavirad et al., Algorithm 2).
+    """Near-field eigen-subspace fitting: minimizes ESF once over all sources (Mousavirad et al., Algorithm 2).
 
-    wavefront: what the estimator assumes (default: the scenario's). sources: how many to look for: "known", the true
-    number; "estimate", by the criterion "aic", "mdl" or "ne" (Nadakuditi & Edelman); or a number, right or wrong.
-    refine: search on from the solver's minimizer by L-BFGS-B, beside its budget.
+    wavefront: wavefront model that the estimator assumes, "exact", "fresnel", "paper" or "planar"; None: that of the
+        scenario.
+    sources: number of sources to search for: "known" is the true number, "estimate" is an estimate from the data by
+        ``criterion``, and an integer is used as given, even if it is wrong.
+    criterion: criterion by which the number of sources is estimated: "aic", "mdl" or "ne" (Nadakuditi & Edelman); used
+        only if ``sources`` is "estimate".
+    refine: whether to refine the solver's minimizer by L-BFGS-B; these evaluations do not count towards the budget.
     """
 
     accepts: ClassVar[type[Instance]] = NearFieldInstance
@@ -39,7 +43,7 @@ class Neef(Formulation):
     refine: bool = False
 
     def solve(self, instance: NearFieldInstance, minimize: Minimize) -> Float[ndarray, "k d"]:
-        """The sources (K, d) [rad, m]. Raises Incompatible with fewer snapshots than sources."""
+        """Return the sources (K, d) [rad, m]; raises Incompatible if there are fewer snapshots than sources."""
         K = how_many(instance, self.sources, self.criterion)
         if K == 0:
             return np.empty((0, instance.manifold.dimension))

@@ -1,4 +1,4 @@
-"""NEMO: sources found one after another in what the ones before leave unexplained."""
+"""NEMO: detects the sources one after another, each in the residual of those detected before."""
 
 from __future__ import annotations
 
@@ -25,18 +25,26 @@ __all__ = ["Nemo"]
 @final
 @dataclass(frozen=True)
 class Nemo(Formulation):
-    """Near-field multimodal localization: K times, minimize RLS and deflate (Mousavirad et al., Algorithm 1).
+    """Near-field multimodal localization: minimizes RLS and deflates, K times (Mousavirad et al., Algorithm 1).
 
-    Every detection is accepted, unless ``stop_below`` is given.
-
-    alpha: repulsion from sources found before. alpha_relative: instead of alpha, in units of ‖Y‖²/M of the residual.
-    delta_min: how far it reaches [1 rad, 1 m alike]. wavefront: what the estimator assumes (default: the scenario's).
-    sources: how many to look for: "known", the true number; "estimate", by the criterion "aic", "mdl" or "ne"
-    (Nadakuditi & Edelman); or a number, right or wrong. stop_below: the quality of a detection at which, and without
-    which, to end early. It is the energy explained over the mean energy of the residual in each of its M − k
-    dimensions, k found before: about 1 where noise is explained at any one place, and hardly above (1 + √(M/T))² at
-    the best, as eigenvalues of noise end there (Marchenko & Pastur 1967). Default: no such end.
-    refine: search on from each of the solver's minimizers by L-BFGS-B, before deflation and beside its budget.
+    alpha: weight of the repulsion from the sources detected before, in the unit of the objective ‖Y‖² per unit of
+        distance (1 rad and 1 m count the same).
+    alpha_relative: weight of the repulsion in units of ‖Y‖²/M of the current residual; it replaces ``alpha``. None:
+        ``alpha`` is used.
+    delta_min: distance up to which the repulsion acts, where 1 rad and 1 m count the same.
+    wavefront: wavefront model that the estimator assumes, "exact", "fresnel", "paper" or "planar"; None: that of the
+        scenario.
+    sources: number of sources to search for: "known" is the true number, "estimate" is an estimate from the data by
+        ``criterion``, and an integer is used as given, even if it is wrong.
+    criterion: criterion by which the number of sources is estimated: "aic", "mdl" or "ne" (Nadakuditi & Edelman); used
+        only if ``sources`` is "estimate".
+    stop_below: minimum quality of a detection; the search ends, and the detection is discarded, when its quality is
+        lower. The quality is the energy that the detection explains divided by the mean energy of the residual per
+        dimension, of which M − k remain after k detections. It is about 1 for noise at an arbitrary position, and
+        hardly exceeds (1 + √(M/T))² for noise at the best position, because the eigenvalues of noise end there
+        (Marchenko & Pastur 1967). None: every detection is accepted.
+    refine: whether to refine each of the solver's minimizers by L-BFGS-B before deflation; these evaluations do not
+        count towards the budget.
     """
 
     accepts: ClassVar[type[Instance]] = NearFieldInstance
@@ -51,7 +59,7 @@ class Nemo(Formulation):
     refine: bool = False
 
     def solve(self, instance: NearFieldInstance, minimize: Minimize) -> Float[ndarray, "k d"]:
-        """The sources (K, d) in the order of their detection [rad, m]."""
+        """Return the sources (K, d) [rad, m] in the order of their detection."""
         manifold = instance.manifold.under(self.wavefront)
         Y = compress(instance.Y)
         detected = np.empty((0, manifold.dimension))  # S_det ← ∅
@@ -69,14 +77,14 @@ class Nemo(Formulation):
             theta = minimize(residual).x  # θ̂_k
             if self.refine:
                 theta = refine(residual, theta, manifold)
-            left = deflate(Y, manifold.response(theta))  # Y − a(θ̂_k)·ŝ_kᵀ
-            if self.stop_below is not None and _quality(Y, left, len(detected)) < self.stop_below:
+            deflated = deflate(Y, manifold.response(theta))  # Y − a(θ̂_k)·ŝ_kᵀ
+            if self.stop_below is not None and _quality(Y, deflated, len(detected)) < self.stop_below:
                 break
-            Y = left
+            Y = deflated
             detected = np.vstack([detected, theta])  # S_det ← S_det ∪ {θ̂_k}
         return detected
 
 
-def _quality(Y: Complex[ndarray, "m c"], left: Complex[ndarray, "m c"], found: int) -> float:
-    """The energy explained, ‖Y‖² − ‖left‖², over the mean of ‖Y‖² in each of its M − ``found`` dimensions."""
-    return float((len(Y) - found) * (1 - np.linalg.norm(left) ** 2 / np.linalg.norm(Y) ** 2))
+def _quality(Y: Complex[ndarray, "m c"], deflated: Complex[ndarray, "m c"], found: int) -> float:
+    """Return the explained energy ‖Y‖² − ‖deflated‖² divided by the mean of ‖Y‖² over its M − ``found`` dimensions."""
+    return float((len(Y) - found) * (1 - np.linalg.norm(deflated) ** 2 / np.linalg.norm(Y) ** 2))

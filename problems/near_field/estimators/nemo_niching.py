@@ -1,4 +1,4 @@
-"""NEMO with niching: all sources from one population, without deflation."""
+"""NEMO with niching: all sources are taken from one population, without deflation."""
 
 from __future__ import annotations
 
@@ -24,16 +24,21 @@ __all__ = ["NemoNiching"]
 @final
 @dataclass(frozen=True)
 class NemoNiching(Formulation):
-    """Multimodal optimization taken literally: one RLS problem, searched once, its K deepest minima the sources.
+    """Multimodal optimization without deflation: one search of one RLS problem, whose K deepest minima are the sources.
 
-    The minima are picked from the solver's last population, which the solver must keep; ``crowding-de`` is made to hold
-    many of them at once. Best individuals come first; of those that climb to one minimum the best counts. The climbs,
-    by L-BFGS-B, are beside the solver's budget. Where the population holds fewer minima than K, the estimate is filled
-    up with the best individuals left. A minimum need not be a source: nothing is deflated, so a sidelobe of a strong
-    source may lie deeper than a weak source.
+    The minima are taken from the solver's last population, which the solver must report; ``crowding-de`` is designed to
+    hold many minima at once. Individuals are processed in the order of their values. Of those from which L-BFGS-B
+    reaches the same minimum, only the best is used; these evaluations do not count towards the budget. If the
+    population contains fewer than K minima, the best remaining individuals complete the estimate. A minimum need not be
+    a source: without deflation, a sidelobe of a strong source may be deeper than the minimum of a weak source.
 
-    refine: report the minima climbed to instead of the individuals. wavefront: what the estimator assumes (default: the
-    scenario's). sources, criterion: how many, as of ``neef``.
+    refine: whether to return the refined minima instead of the individuals.
+    wavefront: wavefront model that the estimator assumes, "exact", "fresnel", "paper" or "planar"; None: that of the
+        scenario.
+    sources: number of sources to search for: "known" is the true number, "estimate" is an estimate from the data by
+        ``criterion``, and an integer is used as given, even if it is wrong.
+    criterion: criterion by which the number of sources is estimated: "aic", "mdl" or "ne" (Nadakuditi & Edelman); used
+        only if ``sources`` is "estimate".
     """
 
     accepts: ClassVar[type[Instance]] = NearFieldInstance
@@ -44,9 +49,9 @@ class NemoNiching(Formulation):
     criterion: Criterion = "ne"
 
     def solve(self, instance: NearFieldInstance, minimize: Minimize) -> Float[ndarray, "k d"]:
-        """The sources (K, d), deepest minimum first [rad, m]; fewer where the population is smaller.
+        """Return the sources (K, d) [rad, m], the deepest minimum first; fewer if the population is smaller.
 
-        Raises Incompatible where the solver keeps no population.
+        Raises Incompatible if the solver does not report a population.
         """
         K = how_many(instance, self.sources, self.criterion)
         manifold = instance.manifold.under(self.wavefront)
@@ -55,6 +60,9 @@ class NemoNiching(Formulation):
         problem = RLS(compress(instance.Y), manifold, instance.lower, instance.upper)
         population = minimize(problem).population
         if population is None:
-            raise Incompatible("nemo-niching picks sources from the solver's last population, and this one keeps none")
+            raise Incompatible(
+                "solver: expected one that keeps its last population, from which nemo-niching takes the sources, "
+                "got one that keeps none; use for example crowding-de"
+            )
         individuals, minima = pick_peaks(problem, manifold, population, K)
         return minima if self.refine else individuals

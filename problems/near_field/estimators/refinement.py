@@ -1,4 +1,4 @@
-"""Local refinement of estimates, in coordinates in which sources near and far look alike."""
+"""Local refinement of estimates, in coordinates in which the objective has a similar scale at all ranges."""
 
 from __future__ import annotations
 
@@ -13,14 +13,15 @@ from ..wavefronts import Manifold
 
 __all__ = ["refine", "resolution"]
 
-ROUNDS = 10  # L-BFGS-B may end on a narrow ridge after one tiny step; begun anew there, it goes on
+ROUNDS = 10  # L-BFGS-B may end on a narrow ridge after a tiny step; a restart from there makes further progress
 
 
 def resolution(manifold: Manifold) -> tuple[float, float]:
-    """The beamwidth λ/D [rad] at broadside and the depth of focus 4λ/D² in inverse range [1/m].
+    """Return the beamwidth λ/D [rad] at broadside and the depth of focus 4λ/D² in inverse range [1/m].
 
-    D = 2·max‖q_m − q̄‖ is the aperture. By the one the linear, by the other the quadratic part of the phase changes by
-    half a turn from the centre of the aperture to its edge.
+    D = 2·max‖q_m − q̄‖ is the aperture. A change of the angle by the beamwidth changes the linear part of the phase
+    between the centre of the aperture and its edge by half a turn; a change of the inverse range by the depth of focus
+    changes the quadratic part by the same amount.
     """
     spread = manifold.positions - manifold.positions.mean(axis=0)
     aperture = 2 * float(np.sqrt(np.sum(spread**2, axis=1).max()))
@@ -28,12 +29,15 @@ def resolution(manifold: Manifold) -> tuple[float, float]:
 
 
 def refine(problem: Problem, x: Float[ndarray, " n"], manifold: Manifold) -> Float[ndarray, " n"]:
-    """A local minimizer within the box, by L-BFGS-B (Byrd, Lu, Nocedal & Zhu 1995) from x; never worse than x.
+    """Return a local minimizer within the box, found by L-BFGS-B (Byrd, Lu, Nocedal & Zhu 1995) from x.
 
-    Angles are counted in beamwidths and ranges as inverse ranges in depths of focus: in these a source is as sharp at
-    any range, and the first step, of length one, stays on the slope where it began.
+    The result is never worse than x. Angles are measured in beamwidths, and ranges as inverse ranges in depths of
+    focus. In these units a minimum is equally wide at all ranges, and the first step, of length one, stays in the
+    valley in which it starts.
 
-    problem: RLS or ESF, with its gradient. x: n/d sources one after another, inside the box [rad, m].
+    problem: problem with a gradient, RLS or ESF.
+    x: starting point [rad, m], shape (n,), which consists of n/d sources one after another, inside the box.
+    manifold: array and wavefront model.
     """
     beamwidth, depth = resolution(manifold)
     angles, d = manifold.dimension - 1, manifold.dimension
@@ -52,9 +56,9 @@ def refine(problem: Problem, x: Float[ndarray, " n"], manifold: Manifold) -> Flo
     scale = start if start > 0 else 1.0
 
     def scaled(z: Float[ndarray, " n"]) -> tuple[float, Float[ndarray, " n"]]:
-        at = locate(z)
-        value, gradient = problem.value_and_gradient(at)
-        return value / scale, gradient * np.where(is_range, -(at**2), 1.0) * unit / scale
+        theta = locate(z)
+        value, gradient = problem.value_and_gradient(theta)
+        return value / scale, gradient * np.where(is_range, -(theta**2), 1.0) * unit / scale
 
     ends = np.sort([invert(problem.lower) / unit, invert(problem.upper) / unit], axis=0)
     z, value = invert(x) / unit, start / scale
@@ -70,5 +74,5 @@ def refine(problem: Problem, x: Float[ndarray, " n"], manifold: Manifold) -> Flo
         z, gain, value = found.x, value - found.fun, found.fun
         if gain <= 1e-12:
             break
-    better = locate(z)
-    return better if problem.value(better) < start else x
+    refined = locate(z)
+    return refined if problem.value(refined) < start else x

@@ -1,3 +1,5 @@
+"""Antenna arrays: positions, origins, files and validation."""
+
 import math
 from dataclasses import replace
 
@@ -18,7 +20,7 @@ def test_ula_runs_along_y_from_its_first_element():
     assert Q[-1, 1] - Q[0, 1] == pytest.approx(0.635, abs=1e-12)  # the paper's aperture at λ/4
 
 
-def test_ula_centred_lies_symmetrically():
+def test_a_centred_ula_is_symmetric():
     Q = ULA(elements=4, spacing_wavelengths=0.5, origin="center").place(WAVELENGTH)
     assert_allclose(Q[:, 1], [-0.015, -0.005, 0.005, 0.015], atol=1e-15)
 
@@ -28,11 +30,11 @@ def test_upa_runs_along_y_first_then_along_z():
     assert_allclose(Q, [[0, 0.01 * y, 0.01 * z] for z in range(2) for y in range(3)], atol=1e-15)
 
 
-def test_upa_of_the_paper_has_a_diagonal_of_15_spacings_not_16():
+def test_the_upa_of_the_paper_has_a_diagonal_of_15_spacings_not_16():
     Q = UPA(columns=16, rows=16, spacing_wavelengths=0.5, origin="center").place(WAVELENGTH)
     diagonal = np.linalg.norm(Q[-1] - Q[0])
     assert diagonal == pytest.approx(math.sqrt(2) * 15 * 0.01, abs=1e-12)
-    assert diagonal * 16 / 15 == pytest.approx(0.226, abs=5e-4)  # the aperture the paper states
+    assert diagonal * 16 / 15 == pytest.approx(0.226, abs=5e-4)  # the aperture stated in the paper
 
 
 def test_uca_lies_on_its_circle_in_the_horizontal_plane():
@@ -67,7 +69,7 @@ def test_custom_positions_do_not_depend_on_the_wavelength():
 
 
 @pytest.mark.parametrize("suffix", ["npy", "csv"])
-def test_a_file_becomes_its_positions(tmp_path, suffix):
+def test_a_file_is_replaced_by_its_positions(tmp_path, suffix):
     path = tmp_path / f"elements.{suffix}"
     Q = np.array([[0.0, 0.0, 0.0], [0.0, 0.1, 0.2], [1 / 3, 0.2, 0.0]])
     if suffix == "npy":
@@ -88,13 +90,13 @@ def test_a_file_becomes_its_positions(tmp_path, suffix):
         ("", "expected at least 2 rows"),
         ("0,0\n0,1\n", r"shape \(2, 2\)"),
         ("0,0,0\n0,1\n", "expected rows of three numbers"),
-        ("x,y,z\n0,0,0\n0,1,0\n", "expected rows of three numbers: could not convert"),
+        ("x,y,z\n0,0,0\n0,1,0\n", "expected rows of three numbers, but reading it failed: could not convert"),
         ("0,0,0\n0,nan,0\n", "expected finite positions, got .*nan.* in row 1"),
         ("0,0,0\n0,1,0\n0,inf,0\n", "expected finite positions, got .*inf.* in row 2"),
         ("0,1,0\n0,2,0\n0,1,0\n", "expected distinct positions"),
     ],
 )
-def test_a_bad_file_is_refused_with_the_reason(tmp_path, content, complaint):
+def test_an_invalid_file_is_refused_with_the_reason(tmp_path, content, complaint):
     path = tmp_path / "elements.csv"
     path.write_text(content)
     with pytest.raises(OptionError, match=complaint):
@@ -118,14 +120,14 @@ def test_a_pickle_is_not_loaded(tmp_path):
         (ULA, {"elements": 8, "spacing_wavelengths": 0.5, "origin": "last"}, "origin: .*'last'"),
         (UPA, {"columns": 1, "rows": 1, "spacing_wavelengths": 0.5, "origin": "first"}, "at least 2 elements"),
         (UCA, {"elements": 8, "radius_wavelengths": -1.0, "origin": "center"}, "radius_wavelengths: .*got -1"),
-        (Custom, {"origin": "first"}, "either positions or a file, got neither"),
+        (Custom, {"origin": "first"}, "either positions or file, got neither"),
         (Custom, {"origin": "first", "file": "no such file.csv"}, "no such file"),
         (Custom, {"origin": "first", "positions": [[0, 0, 0], [0, 0]]}, r"positions\[1\]"),
         (Custom, {"origin": "first", "positions": [[0, 0, 0], [0, 0, 0]]}, "expected distinct positions"),
         (Custom, {"origin": "first", "positions": [[0, 0, 0], [0, math.nan, 0]]}, "finite"),
     ],
 )
-def test_impossible_arrays_are_refused(cls, options, complaint):
+def test_invalid_arrays_are_refused(cls, options, complaint):
     with pytest.raises(OptionError, match=complaint):
         build(cls, options)
 

@@ -1,4 +1,4 @@
-"""Bounds against the Fisher information of the whole model, nuisance parameters and all, and against closed forms."""
+"""Bounds compared with the Fisher information of the full model, including nuisance parameters, and closed forms."""
 
 import math
 from itertools import product
@@ -20,14 +20,14 @@ LINE = Manifold(ULA(elements=10, spacing_wavelengths=0.5, origin="first").place(
 PLANE = Manifold(
     UPA(columns=4, rows=3, spacing_wavelengths=0.5, origin="center").place(WAVELENGTH), WAVELENGTH, "exact", True
 )
-SCENES = [  # manifold, sources, snr of each
+SCENES = [  # manifold, sources, their SNRs
     (LINE, [[-0.5, 0.2]], [3.0]),
     (LINE, [[-0.4, 0.15], [0.1, 0.25], [0.7, 0.2]], [1.0, 10.0, 0.3]),
     (LINE.under("paper"), [[-0.4, 0.15], [0.1, 0.25]], [1.0, 10.0]),
     (PLANE, [[-0.4, 0.3, 0.08], [0.5, -0.2, 0.1]], [2.0, 0.5]),
     (PLANE.under("fresnel"), [[-0.4, 0.3, 0.08], [0.5, -0.2, 0.1]], [2.0, 0.5]),
 ]
-PAPER = Manifold(  # at the paper's size
+PAPER = Manifold(  # the size of the paper's array
     ULA(elements=128, spacing_wavelengths=0.25, origin="center").place(WAVELENGTH), WAVELENGTH, "exact", False
 )
 THREE = np.array([[math.radians(-35), 4.0], [math.radians(5), 8.0], [math.radians(40), 12.0]])
@@ -42,14 +42,14 @@ def by_theta(f, theta: np.ndarray) -> np.ndarray:
 
 
 def assert_same_covariance(C: np.ndarray, expected: np.ndarray) -> None:
-    """Every element, in units of the standard deviations."""
+    """Compare every element in units of the standard deviations."""
     deviations = np.sqrt(np.diag(expected))
     assert_allclose(C / np.outer(deviations, deviations), expected / np.outer(deviations, deviations), atol=1e-5)
 
 
 @pytest.mark.parametrize(("manifold", "theta", "snr"), SCENES)
-def test_the_stochastic_bound_is_that_of_the_whole_gaussian_model(manifold, theta, snr):
-    """Slepian–Bangs, F_ij = T·tr(R⁻¹∂_iR·R⁻¹∂_jR) over θ, the K² reals of the symbols' covariance and the noise."""
+def test_the_stochastic_bound_follows_from_the_full_gaussian_model(manifold, theta, snr):
+    """Slepian–Bangs: F_ij = T·tr(R⁻¹∂_iR·R⁻¹∂_jR) for θ, the K² real parameters of the symbols, and the noise power."""
     theta, snr, T = np.array(theta), np.array(snr), 50
     K, M = len(theta), manifold.elements
     A = responses(manifold, theta, K)
@@ -59,7 +59,7 @@ def test_the_stochastic_bound_is_that_of_the_whole_gaussian_model(manifold, thet
         return A * snr @ A.conj().T + np.eye(M)
 
     slopes = list(by_theta(covariance, theta))
-    for k, i in product(range(K), repeat=2):  # Re P_ki where k ≤ i, else Im
+    for k, i in product(range(K), repeat=2):  # Re P_ki if k ≤ i, otherwise Im
         E = np.zeros((K, K), complex)
         E[k, i], E[i, k] = (1, 1) if k <= i else (1j, -1j)
         slopes.append(A @ E @ A.conj().T)
@@ -72,12 +72,12 @@ def test_the_stochastic_bound_is_that_of_the_whole_gaussian_model(manifold, thet
 
 
 @pytest.mark.parametrize(("manifold", "theta", "snr"), SCENES)
-def test_the_deterministic_bound_is_that_of_all_symbols_unknown(manifold, theta, snr):
-    """F = 2·Re[JᴴJ], J the derivatives of the mean of all snapshots by θ and the real and imaginary parts of S."""
+def test_the_deterministic_bound_follows_from_the_model_with_unknown_symbols(manifold, theta, snr):
+    """F = 2·Re[JᴴJ], where J contains the derivatives of the mean of Y with respect to θ, Re S and Im S."""
     theta, T = np.array(theta), 6
     K = len(theta)
     S = np.sqrt(snr)[:, None] * complex_normal(np.random.default_rng(0), (K, T))
-    by_symbols = np.kron(np.eye(T), responses(manifold, theta, K))  # of the snapshots one below the other
+    by_symbols = np.kron(np.eye(T), responses(manifold, theta, K))  # the snapshots are stacked
     J = np.hstack([
         by_theta(lambda x: (responses(manifold, x, K) @ S).T.ravel(), theta).T, by_symbols, 1j * by_symbols
     ])  # fmt: skip
@@ -88,10 +88,10 @@ def test_the_deterministic_bound_is_that_of_all_symbols_unknown(manifold, theta,
 
 
 @pytest.mark.parametrize("origin", ["first", "center"])
-def test_one_source_and_a_line_give_the_bounds_of_a_chirp(origin):
-    """The phase ωm + ςm² of the Fresnel model has the bounds of a chirp's rate and its change (Djurić & Kay 1990).
+def test_one_source_and_a_ula_give_the_bounds_of_a_chirp(origin):
+    """The phase ωm + ςm² of the Fresnel model has the bounds of a chirp's frequency and rate (Djurić & Kay 1990).
 
-    Against the centre, the two decouple and ω has the bound of a tone (Rife & Boorstyn 1974; far-field azimuth).
+    Relative to the centre, both decouple, and ω has the bound of a tone (Rife & Boorstyn 1974; far-field azimuth).
     """
     M, T, snr = 16, 7, 0.4
     step = 0.5 * WAVELENGTH
@@ -111,13 +111,13 @@ def test_one_source_and_a_line_give_the_bounds_of_a_chirp(origin):
     expected = np.array([rate, 90 / chirp]) / (T * snr)
     C = deterministic_bound(manifold, theta, S)
     assert_allclose(np.diag(slopes @ C @ slopes.T), expected, rtol=1e-9)
-    # and for one source of random symbols, the same but for one factor
+    # for one source with random symbols, the bounds differ by one factor
     C = stochastic_bound(manifold, theta, np.array([snr]), T)
     assert_allclose(np.diag(slopes @ C @ slopes.T), expected * (1 + 1 / (M * snr)), rtol=1e-9)
 
 
 @pytest.mark.parametrize(("snr_db", "bounds"), [(0, [0.0220, 0.0598, 0.2271]), (10, [0.0069, 0.0188, 0.0716])])
-def test_checked_values_of_three_sources(snr_db, bounds):
+def test_reference_values_for_three_sources(snr_db, bounds):
     C = stochastic_bound(PAPER, THREE, np.full(3, 10 ** (snr_db / 10)), 200)
     assert_allclose(position_bounds(C, THREE), bounds, rtol=0, atol=6e-5)
     assert_allclose(position_bounds(C, THREE), oracles.position_bounds(PAPER, THREE, snr_db, 200), rtol=1e-9)
@@ -128,19 +128,19 @@ def test_position_bounds_do_not_depend_on_the_frame():
     positions = rng.uniform(-0.05, 0.05, (12, 3))
     theta = np.array([[-0.4, 0.3, 0.2], [0.5, -0.2, 0.3]])
     snr, S = np.array([1.0, 4.0]), complex_normal(rng, (2, 30))
-    turn = Rotation.random(rng=rng).as_matrix()
-    x, y, z = (cartesian(theta) @ turn.T).T
+    rotation = Rotation.random(rng=rng).as_matrix()
+    x, y, z = (cartesian(theta) @ rotation.T).T
     r = np.sqrt(x * x + y * y + z * z)
-    turned = np.stack([np.arctan2(y, x), np.arcsin(z / r), r], axis=1)
-    one, other = (Manifold(q, WAVELENGTH, "exact", True) for q in (positions, positions @ turn.T))
+    rotated = np.stack([np.arctan2(y, x), np.arcsin(z / r), r], axis=1)
+    one, other = (Manifold(q, WAVELENGTH, "exact", True) for q in (positions, positions @ rotation.T))
     for bound in (lambda m, t: stochastic_bound(m, t, snr, 30), lambda m, t: deterministic_bound(m, t, S)):
         assert_allclose(
-            position_bounds(bound(other, turned), turned), position_bounds(bound(one, theta), theta), rtol=1e-9
+            position_bounds(bound(other, rotated), rotated), position_bounds(bound(one, theta), theta), rtol=1e-9
         )
 
 
 @pytest.mark.parametrize(("manifold", "theta", "snr"), SCENES)
-def test_more_snapshots_and_another_order(manifold, theta, snr):
+def test_bounds_scale_with_the_snapshots_and_follow_the_order_of_the_sources(manifold, theta, snr):
     theta, snr = np.array(theta), np.array(snr)
     C = stochastic_bound(manifold, theta, snr, 10)
     assert_allclose(stochastic_bound(manifold, theta, snr, 40), C / 4, rtol=1e-12)
@@ -149,8 +149,8 @@ def test_more_snapshots_and_another_order(manifold, theta, snr):
 
 
 @pytest.mark.parametrize(("manifold", "theta", "snr"), SCENES)
-def test_not_knowing_the_symbols_costs_more_when_they_are_random(manifold, theta, snr):
-    """Stoica & Nehorai 1990: stochastic ≥ deterministic, where SSᴴ/T is what the random symbols have on average."""
+def test_the_stochastic_bound_is_not_below_the_deterministic_one(manifold, theta, snr):
+    """Stochastic ≥ deterministic if SSᴴ/T equals the covariance of the random symbols (Stoica & Nehorai 1990)."""
     theta, snr, T = np.array(theta), np.array(snr), 8
     orthogonal = np.fft.fft(np.eye(T))[: len(snr)]
     by_power = []
@@ -164,7 +164,7 @@ def test_not_knowing_the_symbols_costs_more_when_they_are_random(manifold, theta
     assert_allclose(by_power[1], 1, rtol=1e-2)
 
 
-def test_bounds_grow_as_the_inverse_square_of_a_small_separation_and_end_at_infinity():
+def test_bounds_grow_with_the_inverse_square_of_a_small_separation_and_become_infinite():
     separations = 10.0 ** -np.arange(4, 9)
     bounds = []
     for separation in separations:
@@ -181,14 +181,14 @@ def test_bounds_grow_as_the_inverse_square_of_a_small_separation_and_end_at_infi
 @pytest.mark.parametrize(
     ("manifold", "theta"),
     [
-        (PAPER, THREE[[0, 0, 2]]),  # two sources at one place
-        (PAPER.under("planar"), THREE),  # no range
+        (PAPER, THREE[[0, 0, 2]]),  # two coincident sources
+        (PAPER.under("planar"), THREE),  # the range is undetermined
         (Manifold(np.array([[0.0, 0, 0], [0, 0.01, 0]]), WAVELENGTH, "exact", False), np.array([[0.3, 1.0]])),
         (Manifold(np.eye(3) * 0.01, WAVELENGTH, "exact", True), np.array([[0.3, 0.2, 1.0], [0.5, 0.1, 2.0]])),
     ],
     ids=["coincident", "planar", "two elements", "one equation"],
 )
-def test_what_the_data_do_not_tell_has_an_infinite_bound(manifold, theta):
+def test_undetermined_sources_have_an_infinite_bound(manifold, theta):
     K = len(theta)
     S = complex_normal(np.random.default_rng(0), (K, 20))
     for C in (stochastic_bound(manifold, theta, np.ones(K), 20), deterministic_bound(manifold, theta, S)):

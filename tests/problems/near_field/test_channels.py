@@ -1,3 +1,5 @@
+"""Rician fading: power, covariance and geometry of the scattered waves."""
+
 import math
 
 import numpy as np
@@ -22,7 +24,7 @@ def scattered(seed: int, count: int) -> np.ndarray:
 def test_complex_normal_is_circular_and_of_unit_variance():
     z = complex_normal(np.random.default_rng(0), (200_000,))
     assert np.mean(np.abs(z) ** 2) == pytest.approx(1.0, abs=0.01)
-    assert abs(np.mean(z * z)) < 0.01  # real and imaginary part alike and uncorrelated
+    assert abs(np.mean(z * z)) < 0.01  # real and imaginary part have equal power and are uncorrelated
     assert abs(np.mean(z)) < 0.01
 
 
@@ -35,7 +37,7 @@ def test_iid_scattering_has_power_m_and_no_correlation():
     assert_allclose(covariance, np.eye(32), rtol=0, atol=0.05)
 
 
-def test_drawing_more_leaves_the_first_draws_as_they_are():
+def test_the_first_draws_do_not_depend_on_the_count():
     assert_array_equal(scattered(7, 5)[:1], scattered(7, 1))
     assert np.abs(scattered(7, 1) - scattered(8, 1)).max() > 0.1
 
@@ -48,8 +50,8 @@ def test_the_rician_factor_splits_the_power(rician_k):
     assert_allclose(line_of_sight, math.sqrt(rician_k / (rician_k + 1)) * A, rtol=0, atol=0.05)
     power = np.mean(np.sum(np.abs(H) ** 2, axis=1), axis=0)
     assert_allclose(power, 16.0, rtol=0.02)  # E‖h_k‖² = M at any κ
-    around = np.mean(np.sum(np.abs(H - math.sqrt(rician_k / (rician_k + 1)) * A) ** 2, axis=1), axis=0)
-    assert_allclose(rician_k / (rician_k + 1) * 16 / around, rician_k, rtol=0.02)
+    scattered_power = np.mean(np.sum(np.abs(H - math.sqrt(rician_k / (rician_k + 1)) * A) ** 2, axis=1), axis=0)
+    assert_allclose(rician_k / (rician_k + 1) * 16 / scattered_power, rician_k, rtol=0.02)
 
 
 def test_an_infinite_rician_factor_is_the_line_of_sight_exactly():
@@ -75,7 +77,7 @@ SPACE = np.array([[0.1, 0.2, 2.0], [-0.4, -0.3, 3.0]])
 
 
 def scene(array: str, wavefront: str = "exact"):
-    """What ``draw`` takes behind ``count``: in the plane for the ULA, in space for the others."""
+    """Return the arguments of ``draw`` after ``count``: in the plane for the ULA, with elevation for the others."""
     flat = array == "ula"
     manifold = Manifold(ARRAYS[array].place(0.02), 0.02, wavefront, not flat)
     lower, upper = np.array([-1.0, -0.5, 1.0]), np.array([1.0, 0.5, 4.0])
@@ -85,7 +87,7 @@ def scene(array: str, wavefront: str = "exact"):
 
 @pytest.mark.parametrize("array", ARRAYS)
 @pytest.mark.parametrize("nlos", KINDS, ids=lambda nlos: nlos.kind)
-def test_draws_have_the_covariance_that_is_told_and_power_m(nlos, array):
+def test_draws_have_the_stated_covariance_and_power_m(nlos, array):
     manifold, *rest = scene(array)
     M, count = manifold.elements, 4_000
     R = nlos.covariance(np.random.default_rng(3), manifold, *rest)
@@ -102,7 +104,7 @@ def test_draws_have_the_covariance_that_is_told_and_power_m(nlos, array):
 
 
 @pytest.mark.parametrize("nlos", KINDS, ids=lambda nlos: nlos.kind)
-def test_of_every_kind_the_first_draws_do_not_depend_on_the_count(nlos):
+def test_the_first_draws_do_not_depend_on_the_count_for_any_kind(nlos):
     one, five = (nlos.draw(np.random.default_rng(7), count, *scene("upa")) for count in (1, 5))
     assert_allclose(five[:1], one, rtol=0, atol=1e-12)
     assert np.abs(five[1] - five[0]).max() > 0.1
@@ -111,39 +113,39 @@ def test_of_every_kind_the_first_draws_do_not_depend_on_the_count(nlos):
 
 
 @pytest.mark.parametrize("array", ARRAYS)
-def test_isotropic_scattering_is_plane_waves_from_everywhere(array):
-    """sin(kd)/(kd) is the mean of exp(jk·uᵀ(q_m − q_n)) over the sphere; here over a Fibonacci lattice on it."""
+def test_isotropic_scattering_consists_of_plane_waves_from_all_directions(array):
+    """sin(kd)/(kd) is the mean of exp(jk·uᵀ(q_m − q_n)) over the sphere, here over a Fibonacci lattice."""
     manifold, *rest = scene(array)
     n, Q = 4000, manifold.positions
     z = 1 - (2 * np.arange(n) + 1) / n
-    turn = np.arange(n) * math.pi * (3 - math.sqrt(5))
-    u = np.stack([np.sqrt(1 - z * z) * np.cos(turn), np.sqrt(1 - z * z) * np.sin(turn), z], axis=1)
+    angle = np.arange(n) * math.pi * (3 - math.sqrt(5))
+    u = np.stack([np.sqrt(1 - z * z) * np.cos(angle), np.sqrt(1 - z * z) * np.sin(angle), z], axis=1)
     waves = np.exp(2j * math.pi / 0.02 * Q @ u.T)
     for R in Isotropic().covariance(np.random.default_rng(0), manifold, *rest):
         assert_allclose(R, waves @ waves.conj().T / n, rtol=0, atol=5e-3)
 
 
-def test_isotropic_is_iid_where_all_distances_are_multiples_of_half_a_wavelength():
+def test_isotropic_equals_iid_if_all_distances_are_multiples_of_half_a_wavelength():
     R = Isotropic().covariance(np.random.default_rng(0), MANIFOLD, THETA, *BOX)
     assert_allclose(R, np.tile(np.eye(16), (2, 1, 1)), rtol=0, atol=1e-7)
 
 
 def located(nlos, seed: int = 0) -> np.ndarray:
-    """The scatterers (K, S, d) of a scene, read from a manifold that notes them."""
-    seen = []
+    """Return the scatterers (K, S, d) of a scene, captured by a manifold that records its arguments."""
+    arguments = []
 
-    class Noting(Manifold):
+    class Recording(Manifold):
         def response(self, theta):
-            seen.append(theta)
+            arguments.append(theta)
             return super().response(theta)
 
     manifold, *rest = scene("upa")
-    nlos.factors(np.random.default_rng(seed), Noting(manifold.positions, 0.02, "exact", True), *rest)
-    (theta,) = seen
+    nlos.factors(np.random.default_rng(seed), Recording(manifold.positions, 0.02, "exact", True), *rest)
+    (theta,) = arguments
     return theta
 
 
-def test_clusters_are_where_and_as_wide_as_stated():
+def test_clusters_have_the_stated_centres_and_spreads():
     theta = located(Clusters(clusters=200, scatterers=500, angular_spread_deg=4.0))
     assert theta.shape == (2, 200, 500, 3)
     centre = theta.mean(axis=2)
@@ -159,13 +161,13 @@ def test_clusters_are_where_and_as_wide_as_stated():
     assert_allclose(deep.std(axis=2)[..., 2].mean(), 0.1, rtol=0.01)
 
 
-def test_a_cluster_around_the_source_is_around_the_source():
+def test_a_cluster_around_the_source_is_centred_at_the_source():
     theta = located(ClusterAroundSource(scatterers=20_000))
     assert_allclose(theta.mean(axis=1), SPACE, atol=0.01)
     assert_allclose(theta.std(axis=1)[:, :2], math.radians(5), rtol=0.03)
 
 
-def test_scatterers_stay_in_front_of_the_origin():
+def test_scatterers_have_positive_ranges():
     theta = located(Clusters(range_spread_m=5.0))
     assert theta[..., 2].min() > 0
     for wavefront in ("exact", "fresnel", "paper", "planar"):
@@ -173,8 +175,8 @@ def test_scatterers_stay_in_front_of_the_origin():
         assert np.isfinite(R).all()
 
 
-def test_weights_are_the_clusters_powers():
-    """Two clusters of one scatterer each and no spread: Σ = Σ_c w_c·a_c·a_cᴴ."""
+def test_weights_are_the_relative_powers_of_the_clusters():
+    """For two clusters of one scatterer each without spread, Σ = Σ_c w_c·a_c·a_cᴴ."""
     nlos = Clusters(clusters=2, scatterers=1, angular_spread_deg=0.0, weights=(3.0, 1.0))
     manifold, *rest = scene("upa")
     R = nlos.covariance(np.random.default_rng(2), manifold, *rest)
@@ -184,8 +186,8 @@ def test_weights_are_the_clusters_powers():
         assert_allclose(R[k], expected, rtol=0, atol=1e-9)
 
 
-def test_a_narrow_cluster_lies_in_few_dimensions_and_iid_in_all():
-    """What makes the paper's scattering different from iid: its energy is not spread over all antennas' dimensions."""
+def test_a_narrow_cluster_occupies_few_dimensions_and_iid_all():
+    """Unlike iid scattering, the energy of a narrow cluster is not spread over all M dimensions."""
     narrow, wide = (
         nlos.covariance(np.random.default_rng(0), *scene("ula"))[0] for nlos in (ClusterAroundSource(), IID())
     )

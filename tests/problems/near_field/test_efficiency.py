@@ -1,4 +1,4 @@
-"""Do estimators meet the bounds? Each is refined from the truth, so that no global search is in the way."""
+"""Do estimators reach the bounds? Each is refined from the true sources, so that no global search is needed."""
 
 from dataclasses import replace
 
@@ -28,7 +28,7 @@ PAPER = NearField(
 
 
 def esf_from_truth(instance):
-    """ESF's local minimum, by L-BFGS-B in units of the standard deviations that the bound allows."""
+    """Return the local minimizer of ESF, by L-BFGS-B in units of the standard deviations given by the bound."""
     problem = ESF(signal_subspace(instance.Y, 3), instance.manifold, instance.lower, instance.upper)
     start = instance.theta.ravel()
     unit = np.sqrt(np.diag(stochastic_bound(instance.manifold, instance.theta, instance.snr, instance.Y.shape[1])))
@@ -43,7 +43,7 @@ def esf_from_truth(instance):
 
 
 def dml_from_truth(instance):
-    """Deterministic maximum likelihood: least squares on the data themselves."""
+    """Return the deterministic maximum likelihood estimate: least squares on the data."""
     return local_fit(instance.Y, instance.manifold, instance.theta, instance.lower, instance.upper)
 
 
@@ -55,16 +55,16 @@ def rms(values, axis=None):
     return np.sqrt(np.mean(np.square(values), axis=axis))
 
 
-def drawn_again(instance, rng):
-    """The same sources with other symbols and other noise, in line of sight."""
+def redrawn(instance, rng):
+    """Return the same sources with new symbols and new noise, in line of sight."""
     shape = instance.Y.shape
     symbols = np.sqrt(instance.snr)[:, None] * complex_normal(rng, (3, shape[1]))
     Y = instance.manifold.response(instance.theta).T @ symbols + complex_normal(rng, shape)
     return replace(instance, Y=Y, symbols=symbols)
 
 
-def test_esf_meets_the_stochastic_bound_of_three_sources():
-    """The scene of the checked values, at 10 dB: 0.0069, 0.0188, 0.0716 m; 400 trials know each to 4 %."""
+def test_esf_reaches_the_stochastic_bound_of_three_sources():
+    """The scene of the reference values at 10 dB (0.0069, 0.0188, 0.0716 m); 400 trials give each to within 4 %."""
     scenario = replace(
         PAPER,
         array={"kind": "ula", "elements": 128, "spacing_wavelengths": 0.25, "origin": "center"},
@@ -74,7 +74,7 @@ def test_esf_meets_the_stochastic_bound_of_three_sources():
     )
     rng = np.random.default_rng(5)
     instance = scenario.draw(rng)
-    trials = [drawn_again(instance, rng) for _ in range(400)]
+    trials = [redrawn(instance, rng) for _ in range(400)]
     measured = rms([errors(trial, esf_from_truth(trial)) for trial in trials], axis=0)
     bounds = position_bounds(stochastic_bound(instance.manifold, instance.theta, instance.snr, 200), instance.theta)
     np.testing.assert_allclose(measured, bounds, rtol=0.1)
@@ -87,16 +87,16 @@ def scenes():
 
 @pytest.mark.parametrize("estimate", [esf_from_truth, dml_from_truth])
 def test_the_error_over_random_scenes_is_that_of_the_bounds(scenes, estimate):
-    """100 scenes weigh like 56 of equal bounds; the bootstrap interval of the ratio is ±15 %."""
+    """100 scenes are equivalent to 56 scenes of equal bounds; the bootstrap interval of the ratio is ±15 %."""
     ratio = rms([rms(errors(scene, estimate(scene))) for scene in scenes]) / rms([s.bounds()["crb_m"] for s in scenes])
     assert 0.85 < ratio < 1.15
 
 
-def test_esf_loses_to_maximum_likelihood_where_sources_are_close():
-    """ESF weighs the weak eigenvector of two close sources like the strong ones: 2.3° apart it is inefficient."""
+def test_esf_is_worse_than_maximum_likelihood_for_close_sources():
+    """ESF gives the weak eigenvector of two close sources the same weight as the strong ones: inefficient at 2.3°."""
     instance = PAPER.draw(np.random.default_rng(429))
     rng = np.random.default_rng(1)
-    trials = [drawn_again(instance, rng) for _ in range(60)]
+    trials = [redrawn(instance, rng) for _ in range(60)]
     bounds = position_bounds(stochastic_bound(instance.manifold, instance.theta, instance.snr, 200), instance.theta)
     esf, dml = (
         rms([errors(trial, estimate(trial)) for trial in trials], axis=0) / bounds

@@ -1,3 +1,5 @@
+"""The number of sources: estimates compared with the printed formulas, and the options of the formulations."""
+
 import math
 
 import numpy as np
@@ -24,13 +26,13 @@ MANIFEST = {
 
 
 def counted(criterion: str, scenes: int = 200, **changes) -> np.ndarray:
-    """The estimated number in each of many scenes."""
+    """Return the estimated number of sources in each of many scenes."""
     scenario = build(NearField, MANIFEST | changes)
     return np.array([estimate_sources(scenario.draw(np.random.default_rng(i)).Y, criterion) for i in range(scenes)])
 
 
 def literally(Y: np.ndarray, criterion: str) -> int:
-    """The printed formulas, term by term; products taken of so few eigenvalues that they do not overflow."""
+    """Return the estimate by the printed formulas, term by term; few enough eigenvalues that no product overflows."""
     M, T = Y.shape
     l = sorted(np.linalg.eigvalsh(Y @ Y.conj().T / T), reverse=True)  # noqa: E741
     values = []
@@ -60,21 +62,22 @@ def test_the_number_minimizes_the_printed_formula(seed, M, T, K, power, criterio
     rng = np.random.default_rng(seed)
     Y = math.sqrt(power) * complex_normal(rng, (M, K)) @ complex_normal(rng, (K, T)) + complex_normal(rng, (M, T))
     if criterion != "ne" and T < M:
-        with pytest.raises(Incompatible, match=rf'criterion: expected "ne" with fewer snapshots \({T}\) than antennas'):
+        words = rf'criterion: expected "ne", because there are fewer snapshots \({T}\) than antennas \({M}\)'
+        with pytest.raises(Incompatible, match=words):
             estimate_sources(Y, criterion)
     else:
         found = estimate_sources(Y, criterion)
         assert found == literally(Y, criterion)
-        assert found == estimate_sources(1e6 * Y, criterion)  # the noise's power does not matter
+        assert found == estimate_sources(1e6 * Y, criterion)  # the power of the noise does not matter
 
 
 @pytest.mark.parametrize("snr_db", [10.0, 20.0])
-def test_mdl_and_ne_count_separated_sources_right(snr_db):
+def test_mdl_and_ne_count_separated_sources_correctly(snr_db):
     assert np.mean(counted("mdl", snr_db=snr_db) == 2) >= 0.99
     assert np.mean(counted("ne", snr_db=snr_db) == 2) >= 0.95
 
 
-def test_aic_sees_too_many_now_and_then():
+def test_aic_sometimes_overestimates():
     found = counted("aic", snapshots=1000)
     assert found.min() == 2
     assert 0.02 < np.mean(found > 2) < 0.2
@@ -93,8 +96,8 @@ def test_ne_works_with_fewer_snapshots_than_antennas():
     assert np.mean(counted("ne", snapshots=10, snr_db=-60.0) == 0) >= 0.9
 
 
-def test_many_antennas_overflow_nothing():
-    """The product of 256 eigenvalues of noise of power 1e-8 is 0 in floating point, of 1e8 infinite."""
+def test_many_antennas_cause_no_overflow():
+    """The product of 256 noise eigenvalues underflows to 0 for the noise power 1e-8 and overflows for 1e8."""
     rng = np.random.default_rng(0)
     Y = complex_normal(rng, (256, 300)) + np.outer(complex_normal(rng, (256,)), complex_normal(rng, (300,)))
     for scale in (1e-4, 1.0, 1e4):
@@ -102,7 +105,7 @@ def test_many_antennas_overflow_nothing():
 
 
 @pytest.mark.parametrize("Y", [np.full((4, 9), np.nan + 0j), np.zeros((4, 9), complex), np.full((4, 9), np.inf + 0j)])
-def test_data_without_noise_or_finite_values_are_refused(Y):
+def test_noiseless_or_nonfinite_data_are_refused(Y):
     for criterion in ("mdl", "ne"):
         with pytest.raises(ValueError, match="Y: expected finite data with noise in every direction"):
             estimate_sources(Y, criterion)

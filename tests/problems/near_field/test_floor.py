@@ -1,3 +1,5 @@
+"""The error floor under fading, compared with independent least-squares fits, and the columns of the bounds."""
+
 import math
 
 import numpy as np
@@ -37,13 +39,13 @@ def draw(manifest=LINE, seed=0, **changes):
 
 
 def without_noise(instance):
-    """H·diag(√snr)·S, snapshot by snapshot."""
+    """Return H·diag(√snr)·S, computed snapshot by snapshot."""
     H = np.broadcast_to(instance.H, (instance.Y.shape[1], *instance.H.shape[1:]))
     return np.stack([H_t @ s_t for H_t, s_t in zip(H, instance.symbols.T, strict=True)], axis=1)
 
 
 def fitted_by_trust_region(instance, columns):
-    """The same fit by SciPy's least_squares on the residuals themselves, its derivatives by differences."""
+    """Return the same fit by SciPy's least_squares on the residuals, with derivatives by finite differences."""
     K, d = instance.theta.shape
 
     def residuals(x):
@@ -71,28 +73,28 @@ def test_the_floor_is_the_error_of_least_squares_without_noise(fading, manifest,
         assert instance.bounds()["floor_m"] == pytest.approx(math.sqrt(np.mean(errors**2)), rel=2e-3)
 
 
-def test_the_floor_is_what_least_squares_keeps_as_the_noise_vanishes():
+def test_the_floor_is_the_error_of_least_squares_as_the_noise_vanishes():
     instance = draw(fading="snapshot", snr_db=90.0)
     fitted = local_fit(instance.Y, instance.manifold, instance.theta, instance.lower, instance.upper)
     errors = np.linalg.norm(cartesian(fitted) - cartesian(instance.theta), axis=1)
     assert instance.bounds()["floor_m"] == pytest.approx(math.sqrt(np.mean(errors**2)), rel=1e-2)
 
 
-def test_there_is_none_as_the_scattering_vanishes():
+def test_the_floor_vanishes_with_the_scattering():
     for fading in ("block", "snapshot"):
         floors = [draw(fading=fading, rician_k=k).bounds()["floor_m"] for k in (1e4, 1e8, 1e12)]
         assert_allclose(floors[1] / floors[0], 1e-2, rtol=0.2)
         assert floors[2] < 1e-4
 
 
-def test_under_block_fading_no_snr_and_no_imbalance_moves_the_floor():
+def test_under_block_fading_the_floor_does_not_depend_on_the_snrs():
     floor = draw().bounds()["floor_m"]
     assert draw(snr_db=[-10.0, 20.0, 50.0]).bounds()["floor_m"] == floor
-    strong_hides_weak = [draw(fading="snapshot", snr_db=snr).bounds()["floor_m"] for snr in (20.0, [0.0, 20.0, 40.0])]
-    assert strong_hides_weak[1] > 3 * strong_hides_weak[0]
+    equal, unequal = (draw(fading="snapshot", snr_db=snr).bounds()["floor_m"] for snr in (20.0, [0.0, 20.0, 40.0]))
+    assert unequal > 3 * equal  # under snapshot fading, strong sources mask weak ones
 
 
-def test_the_fit_stays_in_the_box_and_survives_sources_at_one_place():
+def test_the_fit_stays_in_the_box_and_accepts_coincident_sources():
     instance = draw(positions=[[-60, 5.0], [60, 0.5], [60, 0.5]], min_separation_deg=0.0, rician_k=1.0)
     columns = noise_free_columns(instance.H, instance.symbols)
     fitted = local_fit(columns, instance.manifold, instance.theta, instance.lower, instance.upper)
@@ -101,7 +103,7 @@ def test_the_fit_stays_in_the_box_and_survives_sources_at_one_place():
     assert np.isfinite(instance.bounds()["floor_m"])
 
 
-def test_columns_of_the_scenes_are_what_they_are_called():
+def test_the_columns_of_the_fit_are_the_channel_or_the_noise_free_snapshots():
     block, snapshot = draw(snr_db=200.0), draw(snr_db=200.0, fading="snapshot")
     assert (block.H.shape, snapshot.H.shape) == ((1, 48, 3), (40, 48, 3))
     for instance in (block, snapshot):
@@ -112,12 +114,12 @@ def test_columns_of_the_scenes_are_what_they_are_called():
     assert_allclose(np.mean(np.abs(draw(snapshots=20_000).symbols) ** 2, axis=1), 100, rtol=0.03)
 
 
-def test_line_of_sight_has_bounds_and_a_planar_wavefront_has_nothing():
+def test_line_of_sight_has_bounds_and_a_planar_wavefront_has_none():
     sight = draw(rician_k=math.inf)
     bounds = sight.bounds()
     assert list(bounds) == ["crb_m", "crb_deterministic_m", "crb_1_m", "crb_2_m", "crb_3_m"]
-    each = [bounds[f"crb_{k}_m"] for k in (1, 2, 3)]
-    assert bounds["crb_m"] == pytest.approx(math.sqrt(np.mean(np.square(each))), rel=1e-12)
+    per_source = [bounds[f"crb_{k}_m"] for k in (1, 2, 3)]
+    assert bounds["crb_m"] == pytest.approx(math.sqrt(np.mean(np.square(per_source))), rel=1e-12)
     assert bounds["crb_deterministic_m"] == pytest.approx(bounds["crb_m"], rel=0.2)
     assert {**sight.score(sight.theta), **bounds} == sight.score(sight.theta)
     imbalanced = draw(rician_k=math.inf, snr_db=[20.0, 20.0, 0.0]).bounds()
@@ -151,7 +153,7 @@ evaluations = 20
 """
 
 
-def test_a_study_holds_bounds_where_there_are_any(tmp_path):
+def test_the_results_of_a_study_contain_the_bounds_that_exist(tmp_path):
     (tmp_path / "bounds.toml").write_text(STUDY)
     results = nfbench.run(nfbench.load_study(tmp_path / "bounds.toml"), out=tmp_path / "out", jobs=0)
     assert (results.runs.status == "ok").all()

@@ -1,3 +1,5 @@
+"""The near-field scenario: draws, common random numbers, validation and scores."""
+
 import itertools
 import math
 from dataclasses import replace
@@ -37,19 +39,19 @@ def draw(seed: int = 0, **changes) -> NearFieldInstance:
 
 
 def symbols(instance: NearFieldInstance) -> np.ndarray:
-    """What each source sent, √snr·s, by least squares on the true responses."""
+    """Return the symbols √snr·s of the sources, estimated by least squares with the true responses."""
     A = instance.manifold.response(instance.theta).T
     return np.linalg.lstsq(A, instance.Y)[0]
 
 
-def test_the_manifest_becomes_a_scenario():
+def test_a_scenario_is_built_from_a_manifest_table():
     near_field = scenario()
     assert near_field.array == ULA(elements=32, spacing_wavelengths=0.25, origin="first")
     assert build(NearField, canonical(near_field)) == near_field
     assert canonical(near_field)["nlos"] == {"kind": "iid"}
 
 
-def test_a_draw_has_the_shapes_and_bounds_it_states():
+def test_a_draw_has_the_specified_shapes_and_bounds():
     instance = draw()
     assert (instance.Y.shape, instance.Y.dtype) == ((32, 50), np.complex128)
     assert instance.sources == 3
@@ -80,7 +82,7 @@ def test_positions_are_uniform_in_angle_and_range():
     assert_allclose(unit.var(axis=0), 1 / 12, atol=0.005)
 
 
-def test_the_same_seed_gives_the_same_sources_noise_and_symbols_whatever_the_conditions():
+def test_the_same_seed_gives_the_same_sources_noise_and_symbols_under_all_conditions():
     base = draw()
     for changes in (
         {"snr_db": [0.0, 5.0, 10.0]},
@@ -101,7 +103,7 @@ def test_the_same_seed_gives_the_same_sources_noise_and_symbols_whatever_the_con
 
 
 def test_snr_is_per_source_and_per_antenna():
-    """At κ = inf, the power of source k in each antenna is snr_k against noise of power 1."""
+    """For κ = inf, the power of source k at each antenna is snr_k, and that of the noise is 1."""
     snr_db = [0.0, 10.0, 20.0]
     positions = [[-40, 3], [5, 5], [45, 4]]
     instance = draw(rician_k=math.inf, snr_db=snr_db, positions=positions, snapshots=20_000)
@@ -109,14 +111,14 @@ def test_snr_is_per_source_and_per_antenna():
     S = symbols(instance)
     noise = instance.Y - A @ S
     assert np.mean(np.abs(noise) ** 2) == pytest.approx((32 - 3) / 32, rel=0.01)
-    gram = np.linalg.inv(A.conj().T @ A).diagonal().real  # what the noise adds to each estimated symbol
+    gram = np.linalg.inv(A.conj().T @ A).diagonal().real  # variance that the noise adds to each estimated symbol
     measured = 10 * np.log10(np.mean(np.abs(S) ** 2, axis=1) - gram)
     assert_allclose(measured, snr_db, atol=0.15)
     correlation = S @ S.conj().T / 20_000
     assert abs(correlation[1, 2]) < 0.05 * math.sqrt(10 * 100)  # independent sources
 
 
-def test_block_fading_keeps_rank_k_and_snapshot_fading_does_not():
+def test_the_signal_has_rank_k_under_block_fading_but_not_under_snapshot_fading():
     quiet = {"snr_db": 60.0, "rician_k": 1.0}
     block = np.linalg.svd(draw(**quiet).Y, compute_uv=False)
     snapshot = np.linalg.svd(draw(**quiet, fading="snapshot").Y, compute_uv=False)
@@ -141,7 +143,7 @@ def test_fixed_positions_are_used_in_order_even_on_the_edge():
     assert (instance.theta <= instance.upper).all()
 
 
-def test_sources_keep_their_distance():
+def test_sources_keep_the_minimum_separation():
     near_field = scenario(min_separation_deg=15.0, snapshots=1)
     rng = np.random.default_rng(0)
     closest = []
@@ -149,7 +151,7 @@ def test_sources_keep_their_distance():
         azimuth = np.sort(near_field.draw(rng).theta[:, 0])
         closest.append(np.degrees(np.diff(azimuth).min()))
     assert min(closest) >= 15 - 1e-9
-    assert min(closest) < 17  # and no more than asked
+    assert min(closest) < 17  # no larger separation is enforced
 
 
 def test_separation_in_three_dimensions_is_the_angle_between_directions():
@@ -163,9 +165,9 @@ def test_separation_in_three_dimensions_is_the_angle_between_directions():
     assert 20 - 1e-9 <= min(angles) < 22
 
 
-def test_an_impossible_separation_is_reported_not_waited_for():
+def test_an_impossible_separation_is_an_error_after_a_limited_number_of_attempts():
     with pytest.raises(
-        ValueError, match="min_separation_deg: expected room for 5 sources 40° apart, got none in 100000"
+        ValueError, match="min_separation_deg: expected a placement of 5 sources 40° apart, got none in 100000"
     ):
         draw(sources=5, min_separation_deg=40.0)
 
@@ -173,19 +175,19 @@ def test_an_impossible_separation_is_reported_not_waited_for():
 @pytest.mark.parametrize(
     ("changes", "complaint"),
     [
-        ({"fading": None}, 'fading: expected "block" or "snapshot" with rician_k = 10, got none'),
+        ({"fading": None}, 'fading: expected "block" or "snapshot" for rician_k = 10, got none'),
         ({"sources": 32}, "sources: expected fewer than the 32 elements, got 32"),
         ({"sources": 0}, "sources: .*got 0"),
         ({"snapshots": 0}, "snapshots: .*got 0"),
-        ({"snr_db": [10.0, 20.0]}, "snr_db: expected one number or 3, one a source, got 2"),
+        ({"snr_db": [10.0, 20.0]}, r"snr_db: expected one number, or 3 \(one per source\), got 2"),
         ({"snr_db": math.inf}, "snr_db: .*inf"),
         ({"snr_db": [1.0, 2.0, math.nan]}, "snr_db"),
         ({"rician_k": 0.0}, "rician_k: .*got 0"),
         ({"rician_k": -1.0}, "rician_k: .*got -1"),
         ({"azimuth_deg": [60, -60]}, r"azimuth_deg: expected \[low, high\] with low < high, got \[60, -60\]"),
-        ({"azimuth_deg": [-181, 60]}, r"azimuth_deg: expected within \[-180, 180\], got \[-181, 60\]"),
-        ({"elevation_deg": [-30, 91]}, r"elevation_deg: expected within \[-90, 90\], got \[-30, 91\]"),
-        ({"range_m": [0, 5]}, "range_m: expected a range greater than 0"),
+        ({"azimuth_deg": [-181, 60]}, r"azimuth_deg: expected an interval within \[-180, 180\], got \[-181, 60\]"),
+        ({"elevation_deg": [-30, 91]}, r"elevation_deg: expected an interval within \[-90, 90\], got \[-30, 91\]"),
+        ({"range_m": [0, 5]}, "range_m: expected ranges greater than 0"),
         ({"range_m": [5, 5]}, "range_m: expected .*low < high"),
         ({"range_m": [5, math.inf]}, r"range_m\[1\]: .*inf"),
         ({"range_m": [1, 2, 3]}, "range_m"),
@@ -193,11 +195,14 @@ def test_an_impossible_separation_is_reported_not_waited_for():
         ({"wavelength_m": -0.02}, "wavelength_m: .*got -0.02"),
         ({"min_separation_deg": -1.0}, "min_separation_deg: .*got -1"),
         ({"nlos": {"kind": "rayleigh"}}, "nlos.kind: unknown kind 'rayleigh'; known: cluster"),
-        ({"nlos": {"kind": "clusters", "weights": (1.0, 2.0)}}, "nlos: weights: expected 3, one a cluster, got 2"),
+        (
+            {"nlos": {"kind": "clusters", "weights": (1.0, 2.0)}},
+            "nlos: weights: expected 3 numbers, one per cluster, got 2",
+        ),
         ({"nlos": {"kind": "clusters", "angular_spread_deg": -1.0}}, "nlos.angular_spread_deg: .*got -1"),
         ({"array": {"kind": "ulla", "elements": 8}}, "array.kind: unknown kind 'ulla'; did you mean \"ula\""),
         ({"array": MANIFEST["array"] | {"element": 9}}, 'array.element: unknown option; did you mean "elements"'),
-        ({"positions": [[0, 5]]}, "positions: expected 3, one a source, got 1"),
+        ({"positions": [[0, 5]]}, "positions: expected 3 positions, one per source, got 1"),
         (
             {"positions": [[0, 5], [0, 0, 5], [0, 6]]},
             r"positions\[1\]: expected 2 numbers \(azimuth_deg, range_m\), got",
@@ -209,12 +214,12 @@ def test_an_impossible_separation_is_reported_not_waited_for():
         ),
     ],
 )
-def test_impossible_scenarios_are_refused_by_name(changes, complaint):
+def test_invalid_options_are_refused_by_name(changes, complaint):
     with pytest.raises(OptionError, match=complaint):
         scenario(**changes)
 
 
-def test_every_contradiction_is_reported_at_once():
+def test_all_errors_are_reported_at_once():
     with pytest.raises(OptionError) as caught:
         scenario(fading=None, sources=40, azimuth_deg=[5, 5], range_m=[-1, 2])
     assert [path for path, _ in caught.value.problems] == ["azimuth_deg", "range_m", "sources", "fading"]
@@ -225,7 +230,7 @@ def test_line_of_sight_needs_no_fading():
 
 
 def matchings(true: int, found: int):
-    """Every way to match min(K, K̂) of K true sources with as many of K̂ estimates, as lists of pairs."""
+    """Yield every assignment of min(K, K̂) of the K̂ estimates to as many of the K true sources, as lists of pairs."""
     for sources in itertools.combinations(range(true), min(true, found)):
         for estimates in itertools.permutations(range(found), len(sources)):
             yield list(zip(sources, estimates, strict=True))
@@ -241,12 +246,12 @@ def errors_by_brute_force(instance: NearFieldInstance, estimate: np.ndarray) -> 
 
 
 def gospa_by_brute_force(instance: NearFieldInstance, estimate: np.ndarray, c: float) -> float:
-    """The definition: the least over all partial assignments γ of Σ d² + c²/2·(K + K̂ − 2|γ|), its root."""
+    """Return √(min_γ Σ d² + c²/2·(K + K̂ − 2|γ|)) over all partial assignments γ, which is the definition of GOSPA."""
     d = np.linalg.norm(cartesian(instance.theta)[:, None] - cartesian(estimate), axis=-1)
-    everything = sum(d.shape)
+    total = sum(d.shape)
     return math.sqrt(
         min(
-            sum(d[pair] ** 2 for pair in chosen) + c**2 / 2 * (everything - 2 * size)
+            sum(d[pair] ** 2 for pair in chosen) + c**2 / 2 * (total - 2 * size)
             for pairs in matchings(*d.shape)
             for size in range(len(pairs) + 1)
             for chosen in itertools.combinations(pairs, size)
@@ -262,9 +267,9 @@ def gospa_by_brute_force(instance: NearFieldInstance, estimate: np.ndarray, c: f
     spread_m=st.sampled_from([0.3, 3.0]),
     cutoff_m=st.sampled_from([0.5, 1.0]),
 )
-def test_score_is_the_best_assignment(seed, sources, found, spread_m, cutoff_m):
+def test_scores_follow_from_the_best_assignment(seed, sources, found, spread_m, cutoff_m):
     instance = draw(sources=sources, snapshots=1, range_m=[5, 6], azimuth_deg=[0, 10], gospa_cutoff_m=cutoff_m)
-    rng = np.random.default_rng(seed)  # some estimates lie within the cut-off of gospa_m, some beyond
+    rng = np.random.default_rng(seed)  # some estimates lie within the cutoff of gospa_m, others beyond
     estimate = rng.uniform(instance.lower, instance.lower + np.array([0.2, spread_m]), (found, 2))
     scores = instance.score(estimate)
     errors = errors_by_brute_force(instance, estimate)
@@ -284,24 +289,24 @@ def test_score_is_the_best_assignment(seed, sources, found, spread_m, cutoff_m):
 def test_errors_belong_to_the_true_sources_in_order():
     instance = draw()
     estimate = instance.theta[[2, 0, 1]].copy()
-    estimate[1, 1] += 0.5  # of true source 1
+    estimate[1, 1] += 0.5  # this estimate belongs to true source 1
     scores = instance.score(estimate)
     assert_allclose(list(scores.values())[:7], [0.5 / math.sqrt(3), 0.5, 3, 3, 0.5, 0.0, 0.0], atol=1e-12)
 
 
-def test_a_missed_source_and_one_too_many_cost_half_a_squared_cutoff_each():
+def test_a_missed_source_and_a_surplus_estimate_cost_half_the_squared_cutoff_each():
     instance, cutoff_m = draw(positions=[[-40, 5], [0, 5], [40, 5]], gospa_cutoff_m=0.7), 0.7
     assert instance.score(instance.theta[:2])["gospa_m"] == pytest.approx(cutoff_m / math.sqrt(2))
-    twin = np.vstack([instance.theta, instance.theta[:1]])
-    assert instance.score(twin)["gospa_m"] == pytest.approx(cutoff_m / math.sqrt(2))
-    nothing = instance.score(np.empty((0, 2)))
-    assert nothing["gospa_m"] == pytest.approx(cutoff_m * math.sqrt(3 / 2))
-    assert math.isnan(nothing["rmse_m"])
+    surplus = np.vstack([instance.theta, instance.theta[:1]])
+    assert instance.score(surplus)["gospa_m"] == pytest.approx(cutoff_m / math.sqrt(2))
+    empty = instance.score(np.empty((0, 2)))
+    assert empty["gospa_m"] == pytest.approx(cutoff_m * math.sqrt(3 / 2))
+    assert math.isnan(empty["rmse_m"])
 
 
 @pytest.mark.parametrize("shape", [(3, 3), (3, 1), (6,), (0,), (0, 3), (1, 3, 2)])
-def test_an_estimate_of_another_shape_is_refused(shape):
-    with pytest.raises(ValueError, match=r"estimate: expected shape \(K, 2\), a row per source, got"):
+def test_an_estimate_of_the_wrong_shape_is_refused(shape):
+    with pytest.raises(ValueError, match=r"estimate: expected shape \(K, 2\), one row per source, got"):
         draw().score(np.ones(shape))
 
 

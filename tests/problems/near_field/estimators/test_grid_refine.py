@@ -1,3 +1,5 @@
+"""Grid and refinement: the optimum of ESF compared with long global searches, gains and grids."""
+
 from dataclasses import replace
 
 import numpy as np
@@ -42,7 +44,7 @@ def scene(seed: int = 0, manifest: dict = PLANE, **changes) -> NearFieldInstance
 
 def solve(instance: NearFieldInstance, **options) -> np.ndarray:
     def never(problem):
-        raise AssertionError("a formulation without a solver asked for one")
+        raise AssertionError("a formulation with needs_solver = False called minimize")
 
     return GridRefine(**options).solve(instance, never)
 
@@ -52,7 +54,7 @@ def esf_of(instance: NearFieldInstance) -> ESF:
 
 
 def excess(instance: NearFieldInstance, budget: int = 0, **options) -> float:
-    """ESF above the least that is known: a minimum next to the truth, or where a long search by DE ends."""
+    """Return ESF of the estimate minus the best known value, from the truth or from a long search with DE."""
     esf = esf_of(instance)
     known = [esf.value(refine(esf, instance.theta.ravel(), instance.manifold))]
     if budget:
@@ -84,8 +86,8 @@ def test_a_long_global_search_finds_nothing_better_in_many_scenes(manifest, snr_
     assert np.mean(above) <= 0.05
 
 
-def test_sweeps_mend_a_greedy_choice_that_was_wrong():
-    """On a coarse grid the first choices can block one another; choosing anew frees them."""
+def test_sweeps_correct_a_wrong_greedy_choice():
+    """On a coarse grid the first choices can be wrong; choosing each source again corrects them."""
     instance = scene(0, SPACE)
     assert excess(instance, density=1.0, sweeps=0) > 0.9
     assert excess(instance, density=1.0) < 1e-8
@@ -98,7 +100,7 @@ def test_without_noise_the_sources_are_found():
     assert_allclose(estimate[np.argsort(estimate[:, 0])], instance.theta, atol=1e-5)
 
 
-def test_a_gain_is_what_one_more_source_takes_off_esf():
+def test_a_gain_is_the_decrease_of_esf_by_one_more_source():
     instance = scene()
     U_s = signal_subspace(instance.Y, 3)
     grid = np.random.default_rng(0).uniform(instance.lower, instance.upper, (20, 2))
@@ -110,7 +112,7 @@ def test_a_gain_is_what_one_more_source_takes_off_esf():
         assert_allclose(gains, before - np.array(after), atol=1e-12)
 
 
-def test_a_source_is_not_chosen_where_another_is():
+def test_no_source_is_chosen_at_the_position_of_another():
     instance = scene()
     grid = np.vstack([instance.theta[0], instance.theta])
     gains = grid_refine._gains(signal_subspace(instance.Y, 3), instance.manifold, instance.theta[:1], grid)
@@ -146,19 +148,19 @@ def test_another_wavefront_may_be_assumed():
     assert right < 0.02 < wrong
 
 
-def test_it_needs_as_many_snapshots_as_sources():
+def test_at_least_as_many_snapshots_as_sources_are_required():
     with pytest.raises(Incompatible, match=r"snapshots: expected at least 3 .* got 2"):
         solve(scene(snapshots=2))
 
 
-def test_it_is_made_from_a_manifests_table():
-    made = Registry().make("formulation", "grid-refine", {"density": 3})
-    assert made == GridRefine(density=3.0)
-    assert not made.needs_solver
+def test_it_is_built_from_a_manifest_table():
+    formulation = Registry().make("formulation", "grid-refine", {"density": 3})
+    assert formulation == GridRefine(density=3.0)
+    assert not formulation.needs_solver
 
 
 @pytest.mark.parametrize("options", [{"density": 0.0}, {"sweeps": -1}, {"wavefront": "round"}])
-def test_impossible_options_are_refused(options):
+def test_invalid_options_are_refused(options):
     (name,) = options
     with pytest.raises(OptionError, match=name):
         GridRefine(**options)

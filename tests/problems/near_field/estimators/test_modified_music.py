@@ -1,3 +1,5 @@
+"""Modified MUSIC: estimates without noise, the bias of the exact wavefront, and declined scenes."""
+
 from dataclasses import replace
 
 import numpy as np
@@ -32,7 +34,7 @@ def scene(array: dict | None = None, **changes) -> NearFieldInstance:
 
 
 def noise_free(array: dict | None = None, **changes) -> NearFieldInstance:
-    """A scene whose covariance is A·Aᴴ: responses with symbols that are orthogonal, no noise."""
+    """Return a scene without noise whose symbols are orthogonal, so that the covariance is A·Aᴴ."""
     instance = scene(array, **changes)
     K, T = instance.sources, instance.Y.shape[1]
     S = np.exp(2j * np.pi * np.outer(np.arange(K), np.arange(T)) / T)
@@ -42,7 +44,7 @@ def noise_free(array: dict | None = None, **changes) -> NearFieldInstance:
 
 def solve(instance: NearFieldInstance, **options) -> np.ndarray:
     def never(problem):
-        raise AssertionError("a formulation without a solver asked for one")
+        raise AssertionError("a formulation with needs_solver = False called minimize")
 
     estimate = ModifiedMusic(**options).solve(instance, never)
     return estimate[np.argsort(estimate[:, 0])]
@@ -62,7 +64,7 @@ def test_small_arrays_odd_and_even(elements):
     assert_allclose(solve(instance, refine=True), instance.theta, atol=1e-5)
 
 
-def test_angles_on_the_grid_are_half_a_step_from_the_sources():
+def test_angles_on_the_grid_are_within_half_a_step_of_the_sources():
     instance = noise_free()
     azimuth, ranges = np.linspace(*np.radians([-60, 60]), 200), np.linspace(1.27, 20.16, 1000)
     estimate = solve(instance, grid=Grid(azimuth=200, range=1000))
@@ -70,7 +72,7 @@ def test_angles_on_the_grid_are_half_a_step_from_the_sources():
     assert np.isin(estimate[:, 0], azimuth).all() and np.isin(estimate[:, 1], ranges).all()
 
 
-def test_ranges_are_the_best_of_music_along_each_angle():
+def test_ranges_maximize_the_music_spectrum_along_each_angle():
     instance = noise_free()
     estimate = solve(instance, grid=Grid(azimuth=200, range=300))
     U_s = np.linalg.svd(instance.Y)[0][:, :3]
@@ -86,7 +88,7 @@ def test_angles_do_not_depend_on_ranges():
 
 
 def test_an_exact_wavefront_biases_the_angles():
-    """By the cubic phase, which is odd: a millirad at most, but far above the search's own error."""
+    """The cubic phase is odd and biases the angles, by a few mrad and far more than the error of the search."""
     instance = noise_free(wavefront="exact", positions=[[-35, 1.5], [10, 2.0], [30, 1.5]])
     error = np.abs(solve(instance, refine=True)[:, 0] - instance.theta[:, 0])
     assert 1e-4 < error.max() < 1e-2
@@ -97,8 +99,8 @@ def test_noisy_sources_are_found():
     assert instance.score(solve(instance, refine=True))["rmse_m"] < 0.05
 
 
-def test_a_mirrored_array_is_the_same_array():
-    """Elements may be numbered from either end."""
+def test_a_mirrored_array_gives_the_same_estimate():
+    """The elements may be numbered from either end."""
     instance = scene()
     manifold = replace(instance.manifold, positions=instance.manifold.positions[::-1])
     mirrored = replace(instance, Y=instance.Y[::-1], manifold=manifold)
@@ -108,22 +110,22 @@ def test_a_mirrored_array_is_the_same_array():
 @pytest.mark.parametrize(
     ("array", "changes", "reason"),
     [
-        ({"origin": "first"}, {}, r'array.origin: .* expects "center"'),
-        ({"spacing_wavelengths": 0.5}, {}, r"spacing below .* = 0.2887 λ, got 0.5 λ"),
-        ({}, {"azimuth_deg": [-60, 90]}, r"= 0.25 λ, got 0.25 λ"),
-        ({}, {"azimuth_deg": [-60, 120]}, r"= 0.25 λ, got 0.25 λ"),
+        ({"origin": "first"}, {}, r'array.origin: expected "center" for modified MUSIC'),
+        ({"spacing_wavelengths": 0.5}, {}, r"spacing below .* = 0.2887 λ for modified MUSIC, got 0.5 λ"),
+        ({}, {"azimuth_deg": [-60, 90]}, r"= 0.25 λ for modified MUSIC, got 0.25 λ"),
+        ({}, {"azimuth_deg": [-60, 120]}, r"= 0.25 λ for modified MUSIC, got 0.25 λ"),
         ({"elements": 6}, {"range_m": [0.1, 20.0]}, r"more than 6 elements for 3 sources, got 6"),
         ({}, {"snapshots": 2}, r"snapshots: expected at least 3 .* got 2"),
-        ({}, {"elevation_deg": [-30, 30], "positions": None}, r"in the plane only"),
+        ({}, {"elevation_deg": [-30, 30], "positions": None}, r"elevation_deg: expected none, .* in the plane only"),
     ],
 )
-def test_it_is_refused_where_it_does_not_apply(array, changes, reason):
+def test_unsuitable_scenes_are_declined(array, changes, reason):
     with pytest.raises(Incompatible, match=reason):
         solve(scene(array, **changes))
 
 
 def test_a_narrower_sector_allows_a_wider_spacing():
-    """λ/(4·sin 25°) = 0.59 λ."""
+    """The limit is λ/(4·sin 25°) = 0.59 λ."""
     instance = noise_free(
         {"spacing_wavelengths": 0.5}, azimuth_deg=[-25, 20], positions=[[-20, 3.0], [5, 2.0], [15, 4.0]]
     )
@@ -140,13 +142,13 @@ def test_a_narrower_sector_allows_a_wider_spacing():
     ],
     ids=["upa", "uca", "gaps", "along-x"],
 )
-def test_only_a_uniform_line_along_y_will_do(array):
+def test_only_a_uniform_linear_array_along_y_is_accepted(array):
     instance = build(NearField, PAPER | {"array": array}).draw(np.random.default_rng(0))
     with pytest.raises(Incompatible, match="uniform linear array along y"):
         solve(instance)
 
 
-def test_it_is_made_from_a_manifests_table():
-    made = Registry().make("formulation", "modified-music", {"grid": {"azimuth": 400}})
-    assert made == ModifiedMusic(grid=Grid(azimuth=400))
-    assert not made.needs_solver
+def test_it_is_built_from_a_manifest_table():
+    formulation = Registry().make("formulation", "modified-music", {"grid": {"azimuth": 400}})
+    assert formulation == ModifiedMusic(grid=Grid(azimuth=400))
+    assert not formulation.needs_solver

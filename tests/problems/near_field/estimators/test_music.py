@@ -1,3 +1,5 @@
+"""MUSIC: the spectrum, the grid search for maxima, distinct peaks, and the options."""
+
 import itertools
 import math
 import tracemalloc
@@ -48,7 +50,7 @@ def scene(seed: int = 0, **changes) -> NearFieldInstance:
 
 
 def noise_free(**changes) -> NearFieldInstance:
-    """A scene whose data are the responses themselves, with symbols that are orthogonal."""
+    """Return a scene without noise whose symbols are orthogonal."""
     instance = scene(**changes)
     K, T = instance.sources, instance.Y.shape[1]
     S = np.exp(2j * np.pi * np.outer(np.arange(K), np.arange(T)) / T)
@@ -58,7 +60,7 @@ def noise_free(**changes) -> NearFieldInstance:
 
 def solve(formulation, instance: NearFieldInstance) -> np.ndarray:
     def never(problem):
-        raise AssertionError("a formulation without a solver asked for one")
+        raise AssertionError("a formulation with needs_solver = False called minimize")
 
     return formulation.solve(instance, never)
 
@@ -68,16 +70,16 @@ def spectrum_of(instance: NearFieldInstance) -> RLS:
     return RLS(U_s, instance.manifold, instance.lower, instance.upper)
 
 
-def sources_climbed_to(instance: NearFieldInstance, points: np.ndarray) -> list[int]:
-    """Which true source's peak each point climbs to; −1 for none."""
+def sources_reached(instance: NearFieldInstance, points: np.ndarray) -> list[int]:
+    """Return the index of the true source whose peak a local search reaches from each point; −1 for none."""
     spectrum, M = spectrum_of(instance), instance.manifold.elements
-    climbed, true = (np.array([refine(spectrum, x, instance.manifold) for x in X]) for X in (points, instance.theta))
-    alike = np.abs(instance.manifold.response(climbed) @ instance.manifold.response(true).conj().T) ** 2 / M**2
-    return [int(np.argmax(row)) if row.max() > 0.99 else -1 for row in alike]
+    reached, true = (np.array([refine(spectrum, x, instance.manifold) for x in X]) for X in (points, instance.theta))
+    correlation = np.abs(instance.manifold.response(reached) @ instance.manifold.response(true).conj().T) ** 2 / M**2
+    return [int(np.argmax(row)) if row.max() > 0.99 else -1 for row in correlation]
 
 
 def brute_force_maxima(heights: np.ndarray) -> list[tuple[int, ...]]:
-    """Every cell that is above all its neighbours, highest first."""
+    """Return every cell that is higher than all its neighbours, in descending order."""
     steps = [step for step in itertools.product((-1, 0, 1), repeat=heights.ndim) if any(step)]
     padded = np.pad(heights, 1, constant_values=-np.inf)
 
@@ -87,8 +89,8 @@ def brute_force_maxima(heights: np.ndarray) -> list[tuple[int, ...]]:
     return sorted(filter(is_highest, np.ndindex(heights.shape)), key=lambda cell: -heights[cell])
 
 
-def test_signal_form_is_the_noise_form():
-    """1/(M − ‖U_sᴴa‖²) is 1/‖U_nᴴa‖² with U_n the other eigenvectors of the covariance."""
+def test_the_signal_form_equals_the_noise_form():
+    """1/(M − ‖U_sᴴa‖²) equals 1/‖U_nᴴa‖², where U_n contains the other eigenvectors of the covariance."""
     instance = scene(**FADING)
     R = instance.Y @ instance.Y.conj().T / 200
     U_n = np.linalg.eigh(R).eigenvectors[:, :-3]
@@ -104,8 +106,8 @@ def test_without_noise_refined_peaks_are_the_sources(wavefront):
     assert_allclose(estimate[np.argsort(estimate[:, 0])], instance.theta, atol=1e-6)
 
 
-def test_without_noise_grid_peaks_are_half_a_step_from_the_sources():
-    """At broadside of a centred array angle and range are not coupled, so that each is found to half a step."""
+def test_without_noise_grid_peaks_are_within_half_a_step_of_the_sources():
+    """At the broadside of a centred array, angle and range are decoupled, so that both are found to half a step."""
     centred = PAPER["array"] | {"origin": "center"}
     instance = noise_free(array=centred, sources=1, positions=[[0.1, 2.005]], azimuth_deg=[-5, 5], range_m=[1.5, 2.5])
     (estimate,) = solve(Music(grid=Grid(azimuth=64, range=51)), instance)
@@ -115,22 +117,22 @@ def test_without_noise_grid_peaks_are_half_a_step_from_the_sources():
     assert_allclose(on_grid, np.round(on_grid), atol=1e-9)
 
 
-def test_no_source_is_reported_twice_nor_lost():
-    """Fading lifts several maxima of one oblique ridge above the next source: naive picking reports it twice."""
+def test_every_source_is_reported_exactly_once():
+    """Under fading, several maxima of one oblique ridge exceed the next source, so naive picking reports it twice."""
     naive_wrong = 0
     for seed in range(12):
         instance = scene(seed, **FADING)
-        assert sorted(sources_climbed_to(instance, solve(Music(grid=COARSE), instance))) == [0, 1, 2]
+        assert sorted(sources_reached(instance, solve(Music(grid=COARSE), instance))) == [0, 1, 2]
         axes = COARSE.axes(instance.lower, instance.upper)
         naive = grid_maxima(signal_subspace(instance.Y, 3), instance.manifold, axes, 3)
-        naive_wrong += sorted(sources_climbed_to(instance, naive)) != [0, 1, 2]
+        naive_wrong += sorted(sources_reached(instance, naive)) != [0, 1, 2]
     assert naive_wrong >= 6
 
 
 @pytest.mark.parametrize("other", [[11.2, 4.0], [10.0, 5.0]], ids=["angle", "range"])
-def test_close_sources_are_told_apart(other):
+def test_close_sources_are_distinguished(other):
     instance = scene(sources=2, positions=[[10.0, 4.0], other])
-    assert sorted(sources_climbed_to(instance, solve(Music(grid=COARSE), instance))) == [0, 1]
+    assert sorted(sources_reached(instance, solve(Music(grid=COARSE), instance))) == [0, 1]
 
 
 def test_each_source_is_reported_by_its_highest_grid_point():
@@ -138,14 +140,14 @@ def test_each_source_is_reported_by_its_highest_grid_point():
     maxima = grid_maxima(
         signal_subspace(instance.Y, 3), instance.manifold, COARSE.axes(instance.lower, instance.upper), 50
     )
-    climbed = sources_climbed_to(instance, maxima)
-    expected = sorted(climbed.index(k) for k in range(3))
+    reached = sources_reached(instance, maxima)
+    expected = sorted(reached.index(k) for k in range(3))
     assert expected != [0, 1, 2]
     assert_array_equal(solve(Music(grid=COARSE), instance), maxima[expected])
 
 
-def test_a_climb_follows_a_narrow_ridge_to_its_end():
-    """L-BFGS-B alone ends half-way along this one, 9 to 18 m away, at what then looks like a peak of its own."""
+def test_refinement_follows_a_narrow_ridge_to_its_end():
+    """A single L-BFGS-B run ends halfway along this ridge, 9 to 18 m away, which would look like a separate peak."""
     instance = scene(42)
     spectrum = spectrum_of(instance)
     halfway, true = (
@@ -154,12 +156,12 @@ def test_a_climb_follows_a_narrow_ridge_to_its_end():
     assert_allclose(halfway, true, rtol=1e-5)
 
 
-def test_missing_peaks_are_filled_up_with_the_highest_maxima_left():
+def test_missing_peaks_are_replaced_by_the_highest_remaining_maxima():
     instance = scene(sources=1)
     maxima = grid_maxima(
         signal_subspace(instance.Y, 1), instance.manifold, COARSE.axes(instance.lower, instance.upper), 50
     )
-    ridge = maxima[[k == 0 for k in sources_climbed_to(instance, maxima)]]
+    ridge = maxima[[k == 0 for k in sources_reached(instance, maxima)]]
     assert len(ridge) >= 3
     points, peaks = pick_peaks(spectrum_of(instance), instance.manifold, ridge, 3)
     assert_array_equal(points, ridge[:3])
@@ -173,7 +175,7 @@ def test_missing_peaks_are_filled_up_with_the_highest_maxima_left():
     [({}, Grid(azimuth=31, range=60)), (SPACE, Grid(azimuth=15, elevation=12, range=9))],
     ids=["2d", "3d"],
 )
-def test_streaming_finds_what_the_whole_grid_holds(monkeypatch, changes, grid, block):
+def test_streaming_finds_the_same_maxima_as_the_whole_grid(monkeypatch, changes, grid, block):
     monkeypatch.setattr(music, "BLOCK", block)
     instance = scene(**changes)
     U_s = signal_subspace(instance.Y, instance.sources)
@@ -182,12 +184,12 @@ def test_streaming_finds_what_the_whole_grid_holds(monkeypatch, changes, grid, b
     heights = np.sum(np.abs(instance.manifold.response(points) @ U_s.conj()) ** 2, axis=-1)
     expected = np.array([points[cell] for cell in brute_force_maxima(heights)])
     assert len(expected) > 5
-    assert (expected[:, 0] == axes[0][0]).any() or (expected[:, -1] == axes[-1][0]).any()  # edges are among them
+    assert (expected[:, 0] == axes[0][0]).any() or (expected[:, -1] == axes[-1][0]).any()  # some are at the edges
     assert_array_equal(grid_maxima(U_s, instance.manifold, axes, 10**6), expected)
     assert_array_equal(grid_maxima(U_s, instance.manifold, axes, 4), expected[:4])
 
 
-def test_the_grid_is_never_held_whole(monkeypatch):
+def test_the_grid_is_never_stored_as_a_whole(monkeypatch):
     monkeypatch.setattr(music, "BLOCK", 1)
     instance = scene(**SPACE)
     U_s = signal_subspace(instance.Y, 2)
@@ -197,11 +199,11 @@ def test_the_grid_is_never_held_whole(monkeypatch):
     grid_maxima(U_s, instance.manifold, axes, 10)
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
-    assert peak < 25 * 50 * 60 * 8  # a hundred azimuths, of four numbers a point, would be 400
+    assert peak < 25 * 50 * 60 * 8  # 100 azimuths with four numbers per point would be 400
 
 
 def test_a_plateau_counts_once():
-    """Under planar waves the range is free: a whole line of the grid is one maximum."""
+    """With planar waves the range is undetermined, so that a whole line of the grid is one maximum."""
     instance = scene(wavefront="planar", sources=2, positions=[[-20, 5], [31, 5]])
     estimate = solve(Music(grid=COARSE), instance)
     assert_allclose(np.sort(estimate[:, 0]), np.radians([-20, 31]), atol=np.radians(120 / 199 / 2))
@@ -223,7 +225,7 @@ def test_an_estimator_may_assume_another_wavefront():
     assert instance.score(same)["rmse_m"] < 1e-6 < 1e-2 < instance.score(other)["rmse_m"]
 
 
-def test_grids_are_the_papers_unless_given():
+def test_the_default_grids_are_those_of_the_paper():
     plane, space = scene(), scene(**SPACE)
     assert [len(axis) for axis in Grid().axes(plane.lower, plane.upper)] == [400, 2000]
     assert [len(axis) for axis in Grid().axes(space.lower, space.upper)] == [200, 200, 400]
@@ -232,23 +234,23 @@ def test_grids_are_the_papers_unless_given():
     assert_allclose(ranges, [1.27, 5.9925, 10.715, 15.4375, 20.16])
 
 
-def test_elevations_need_a_scenario_with_elevation():
-    with pytest.raises(Incompatible, match=r"grid.elevation: expected none .* got 50"):
+def test_a_grid_in_elevation_requires_a_scenario_with_elevation():
+    with pytest.raises(Incompatible, match=r"grid.elevation: expected none without elevation_deg, got 50"):
         solve(Music(grid=Grid(elevation=50)), scene())
 
 
-def test_music_needs_as_many_snapshots_as_sources():
+def test_music_requires_at_least_as_many_snapshots_as_sources():
     with pytest.raises(Incompatible, match=r"snapshots: expected at least 3 .* got 2"):
         solve(Music(), scene(snapshots=2))
 
 
-def test_music_is_made_from_a_manifests_table():
-    made = Registry().make("formulation", "music", {"grid": {"azimuth": 200, "range": 1000}, "refine": True})
-    assert made == Music(grid=COARSE, refine=True)
-    assert not made.needs_solver
+def test_music_is_built_from_a_manifest_table():
+    formulation = Registry().make("formulation", "music", {"grid": {"azimuth": 200, "range": 1000}, "refine": True})
+    assert formulation == Music(grid=COARSE, refine=True)
+    assert not formulation.needs_solver
 
 
-def test_labels_show_of_a_grid_what_is_given(tmp_path):
+def test_labels_show_only_the_given_entries_of_a_grid(tmp_path):
     scenario = "\n".join(f"{key} = {value!r}" for key, value in PAPER.items() if key != "array")
     array = 'array = { kind = "ula", elements = 128, spacing_wavelengths = 0.25, origin = "first" }'
     formulations = '[[formulation]]\nkind = "music"\n' * 2 + "grid = { azimuth = 200, range = 1000 }\n"
@@ -262,7 +264,7 @@ def test_labels_show_of_a_grid_what_is_given(tmp_path):
 @pytest.mark.parametrize(
     ("grid", "path"), [({"azimuth": 1}, "grid.azimuth"), ({"azimut": 200}, "grid.azimut"), (200, "grid")]
 )
-def test_impossible_grids_are_refused(grid, path):
+def test_invalid_grids_are_refused(grid, path):
     with pytest.raises(OptionError) as refused:
         build(Music, {"grid": grid})
     assert [where for where, _ in refused.value.problems] == [path]

@@ -1,3 +1,5 @@
+"""NEMO and NEEF: the problems they build, deflation and repulsion, the number of sources, and refinement."""
+
 import math
 from dataclasses import dataclass
 
@@ -46,7 +48,7 @@ def scene(**changes):
 
 @dataclass(frozen=True)
 class RandomThenNewton(Solver):
-    """The best of random points, each improved by SciPy's L-BFGS-B in the unit box."""
+    """Improves the best of many random points by SciPy's L-BFGS-B in the unit box."""
 
     info = SolverInfo(needs_gradient=True, batched=True)
 
@@ -64,7 +66,7 @@ class RandomThenNewton(Solver):
 
 
 def solved(problems: list[Problem] | None = None):
-    """A ``minimize`` as the engine gives it to a formulation, which notes the problems it is given."""
+    """Return a ``minimize`` like that of the engine, which also records the problems."""
 
     def run(problem: Problem) -> Minimum:
         if problems is not None:
@@ -75,7 +77,7 @@ def solved(problems: list[Problem] | None = None):
 
 
 def answering(answers: list[np.ndarray], problems: list[Problem]):
-    """A ``minimize`` that answers with given points, to look at the problems a formulation makes."""
+    """Return a ``minimize`` that returns given points and records the problems that a formulation builds."""
 
     def run(problem: Problem) -> Minimum:
         problems.append(problem)
@@ -117,8 +119,8 @@ def test_formulations_work_in_three_dimensions():
         assert [problem.dimension for problem in problems] == dimensions
 
 
-def test_nemo_deflates_by_what_it_found():
-    """Algorithm 1: each search sees the residual of the ones before."""
+def test_nemo_deflates_each_detected_source():
+    """In Algorithm 1, each search minimizes the residual of the earlier detections."""
     instance, problems = scene(), []
     answers = [instance.theta[0], instance.theta[1]]
     assert_array_equal(Nemo(alpha=0.0).solve(instance, answering(answers, problems)), answers)
@@ -133,21 +135,21 @@ def test_nemo_deflates_by_what_it_found():
 
 
 def penalty_at_first_source(**options) -> float:
-    """By how much repulsion lifts the second search where the first source was found."""
-    instance, with_it, without = scene(), [], []
+    """Return the increase of the second search's objective by the repulsion at the first detected source."""
+    instance, with_repulsion, without = scene(), [], []
     answers = [instance.theta[0], instance.theta[1]]
-    Nemo(**options).solve(instance, answering(answers, with_it))
+    Nemo(**options).solve(instance, answering(answers, with_repulsion))
     Nemo(alpha=0.0).solve(instance, answering(answers, without))
-    assert with_it[0].value(answers[0]) == without[0].value(answers[0])  # nothing to repel yet
-    return with_it[1].value(answers[0]) - without[1].value(answers[0])
+    assert with_repulsion[0].value(answers[0]) == without[0].value(answers[0])  # no source is detected yet
+    return with_repulsion[1].value(answers[0]) - without[1].value(answers[0])
 
 
-def test_nemo_repels_from_what_it_found():
+def test_nemo_is_repelled_from_detected_sources():
     assert penalty_at_first_source() == pytest.approx(1000 * 0.08, rel=1e-6)  # the paper's values
     assert penalty_at_first_source(alpha=50.0, delta_min=0.2) == pytest.approx(50 * 0.2, rel=1e-6)
 
 
-def test_alpha_relative_takes_the_place_of_alpha():
+def test_alpha_relative_replaces_alpha():
     instance = scene()
     a = instance.manifold.response(instance.theta[0])
     residual = np.linalg.norm(instance.Y - np.outer(a, a.conj() @ instance.Y) / 64) ** 2
@@ -170,7 +172,7 @@ def test_an_estimator_may_assume_another_wavefront(formulation):
     assert np.abs(values("planar") - values("exact")).max() > 1e-3
 
 
-def test_neef_needs_as_many_snapshots_as_sources():
+def test_neef_requires_at_least_as_many_snapshots_as_sources():
     with pytest.raises(Incompatible, match=r"snapshots: expected at least 2 .* got 1"):
         Neef().solve(scene(snapshots=1), solved())
 
@@ -183,7 +185,7 @@ def test_nemo_works_with_one_snapshot():
     "options",
     [{"alpha": -1.0}, {"alpha": math.inf}, {"alpha_relative": -1.0}, {"delta_min": -0.1}, {"wavefront": "round"}],
 )
-def test_impossible_options_are_refused(options):
+def test_invalid_options_are_refused(options):
     (name,) = options
     with pytest.raises(OptionError, match=name):
         Nemo(**options)
@@ -203,13 +205,13 @@ def test_another_number_of_sources_may_be_assumed_or_estimated():
         assert [problem.dimension for problem in problems] == [2 * found]
 
 
-def test_where_no_source_is_estimated_the_estimate_is_empty():
+def test_the_estimate_is_empty_if_the_estimated_number_is_zero():
     instance = scene(snr_db=-60.0, snapshots=200)
     for formulation in (Nemo(sources="estimate", criterion="mdl"), Neef(sources="estimate", criterion="mdl")):
         assert formulation.solve(instance, answering([], [])).shape == (0, 2)
 
 
-def test_a_run_that_finds_nothing_is_an_answer_from_the_manifest_to_the_table(tmp_path):
+def test_a_run_with_an_empty_estimate_is_ok_and_reported(tmp_path):
     path = tmp_path / "nothing.toml"
     path.write_text(
         """
@@ -227,7 +229,7 @@ def test_a_run_that_finds_nothing_is_an_answer_from_the_manifest_to_the_table(tm
         range_m = [0.1, 1.0]
         [[formulation]]
         kind = "nemo"
-        stop_below = 8.1            # more than all the energy
+        stop_below = 8.1            # more than the total energy
         [[formulation]]
         kind = "nemo"
         sources = 1
@@ -243,49 +245,49 @@ def test_a_run_that_finds_nothing_is_an_answer_from_the_manifest_to_the_table(tm
     nothing, one = results.summary().to_dict("records")
     assert math.isnan(nothing["rmse_m"])
     assert nothing["outlier_rate"] == 1
-    assert nothing["gospa_m"] == pytest.approx(1.0)  # two missed: √(2·c²/2)
+    assert nothing["gospa_m"] == pytest.approx(1.0)  # two missed sources: √(2·c²/2)
     assert one["outlier_rate"] >= 0.5
     print_report(results, Console(width=120))
 
 
-def test_aic_needs_as_many_snapshots_as_antennas():
+def test_aic_requires_at_least_as_many_snapshots_as_antennas():
     for formulation in (Nemo, Neef):
         with pytest.raises(Incompatible, match="criterion"):
             formulation(sources="estimate", criterion="aic").solve(scene(), solved())
 
 
 def qualities(instance, answers) -> list[float]:
-    """‖aᴴY‖²/M over the mean of ‖Y‖² in M − k dimensions, with the projectors written out."""
-    Y, M, told = instance.Y, len(instance.Y), []
+    """Return ‖aᴴY‖²/M divided by the mean of ‖Y‖² over M − k dimensions, with explicit projectors."""
+    Y, M, values = instance.Y, len(instance.Y), []
     for k, a in enumerate(instance.manifold.response(np.array(answers))):
-        told.append(np.linalg.norm(a.conj() @ Y) ** 2 / M / (np.linalg.norm(Y) ** 2 / (M - k)))
+        values.append(np.linalg.norm(a.conj() @ Y) ** 2 / M / (np.linalg.norm(Y) ** 2 / (M - k)))
         Y = Y - np.outer(a, a.conj()) @ Y / M
-    return told
+    return values
 
 
-def test_nemo_stops_at_the_first_detection_below_the_quality_asked_for():
+def test_nemo_stops_at_the_first_detection_below_the_minimum_quality():
     instance = scene(snr_db=[30.0, -10.0])
-    answers = [*instance.theta, np.array([0.0, 3.0])]  # two sources, and a place where there is none
-    told = qualities(instance, answers)
-    assert told[0] > 2 * told[1] > 4 * told[2]
-    for found, quality in enumerate(told):
-        for stop_below, stays in ((0.999 * quality, found + 1), (1.001 * quality, found)):
+    answers = [*instance.theta, np.array([0.0, 3.0])]  # two sources and a position without a source
+    expected = qualities(instance, answers)
+    assert expected[0] > 2 * expected[1] > 4 * expected[2]
+    for found, quality in enumerate(expected):
+        for stop_below, accepted in ((0.999 * quality, found + 1), (1.001 * quality, found)):
             estimate = Nemo(sources=3, stop_below=stop_below).solve(instance, answering(answers, []))
-            assert_array_equal(estimate, np.reshape(answers[:stays], (-1, 2)))
+            assert_array_equal(estimate, np.reshape(answers[:accepted], (-1, 2)))
     assert len(Nemo(sources=3).solve(instance, answering(answers, []))) == 3  # off by default
 
 
 @pytest.mark.parametrize(("snr_db", "found"), [(-60.0, 0), (0.0, 2), (20.0, 2)])
-def test_at_the_edge_of_noise_nemo_stops_when_the_sources_are_found(snr_db, found):
-    """(1 + √(M/T))², beyond which eigenvalues of noise do not lie."""
+def test_nemo_with_the_noise_edge_as_minimum_quality_finds_all_sources(snr_db, found):
+    """The edge (1 + √(M/T))² is the upper limit of the eigenvalues of noise."""
     edge = (1 + math.sqrt(64 / 200)) ** 2
     instance = scene(snr_db=snr_db, snapshots=200)
     estimate = Nemo(sources=5, stop_below=edge).solve(instance, solved())
     assert len(estimate) == found
 
 
-def test_refine_searches_on_from_the_solvers_minimizer():
-    """NEMO refines each detection before it deflates, NEEF all sources at once; neither does unless asked."""
+def test_refine_improves_the_minimizer_of_the_solver():
+    """NEMO refines each detection before deflation, NEEF all sources at once; both only if ``refine`` is true."""
     instance = scene()
     off = instance.theta + np.array([0.01, 0.02])
     for formulation, answers in ((Nemo, list(off)), (Neef, [off.ravel()])):
@@ -300,4 +302,4 @@ def test_refine_searches_on_from_the_solvers_minimizer():
     a = instance.manifold.response(Nemo(refine=True).solve(instance, answering(list(off), problems := []))[0])
     residual = np.linalg.norm(instance.Y - np.outer(a, a.conj() @ instance.Y) / 64) ** 2
     assert problems[0].value(off[0]) > residual
-    assert problems[1].value(instance.upper) <= residual  # the second search sees what the refined first one left
+    assert problems[1].value(instance.upper) <= residual  # the second search uses the residual of the refined source

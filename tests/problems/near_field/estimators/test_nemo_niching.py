@@ -1,4 +1,4 @@
-"""All sources from one population."""
+"""NEMO with niching: all sources from one population."""
 
 import numpy as np
 import pytest
@@ -36,12 +36,12 @@ def test_three_sources_from_one_run_of_one_problem(neighbors):
     assert scene().score(estimate)["rmse_m"] < 0.05
 
 
-def test_individuals_are_near_the_minima_they_climb_to():
+def test_individuals_are_near_their_refined_minima():
     instance, solver = scene(), CrowdingDE(neighbors=10)
     individuals, minima = (solve(NemoNiching(refine=r), instance, solver) for r in (False, True))
     assert 0 < np.abs(individuals - minima).max() < 0.2
 
 
 def test_a_solver_without_population_is_declined():
-    with pytest.raises(Incompatible, match="picks sources from the solver's last population, and this one keeps none"):
+    with pytest.raises(Incompatible, match=r"solver: expected one that keeps its last population, .* keeps none; use"):
         solve(NemoNiching(), scene(), RandomSearch())

@@ -1,3 +1,5 @@
+"""Local refinement: never worse, within the box, and at a stationary point."""
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -25,7 +27,7 @@ BOX = {2: (np.array([-1.0, 0.3]), np.array([1.0, 5.0])), 3: (np.array([-1.0, -0.
 
 
 def problems(manifold: Manifold, seed: int) -> list[RLS | ESF]:
-    """RLS of noisy data of two sources, and ESF of their signal subspace."""
+    """Return RLS for noisy data of two sources, and ESF for their signal subspace."""
     rng = np.random.default_rng(seed)
     lower, upper = BOX[manifold.dimension]
     Y = manifold.response(rng.uniform(lower, upper, (2, len(lower)))).T @ complex_normal(rng, (2, 30))
@@ -34,7 +36,7 @@ def problems(manifold: Manifold, seed: int) -> list[RLS | ESF]:
 
 
 def projected_gradient(problem: RLS | ESF, x: np.ndarray) -> np.ndarray:
-    """The gradient over the width of the box, without what points out of it."""
+    """Return the gradient times the width of the box, without the components that point out of it."""
     width = problem.upper - problem.lower
     slope = problem.value_and_gradient(x)[1] * width
     near = 1e-9 * width
@@ -45,7 +47,7 @@ def projected_gradient(problem: RLS | ESF, x: np.ndarray) -> np.ndarray:
 @settings(max_examples=25, deadline=None)
 @given(seed=st.integers(0, 1000), corner=st.booleans())
 @pytest.mark.parametrize("manifold", [PLANE, SPACE], ids=["2d", "3d"])
-def test_never_worse_and_within_the_box(manifold, seed, corner):
+def test_the_result_is_never_worse_and_within_the_box(manifold, seed, corner):
     rng = np.random.default_rng(seed)
     for problem in problems(manifold, seed):
         x = rng.uniform(problem.lower, problem.upper)
@@ -58,7 +60,7 @@ def test_never_worse_and_within_the_box(manifold, seed, corner):
 
 
 @pytest.mark.parametrize("manifold", [PLANE, SPACE], ids=["2d", "3d"])
-def test_ends_where_no_step_within_the_box_leads_down(manifold):
+def test_the_projected_gradient_vanishes_at_the_result(manifold):
     for seed in range(10):
         for problem in problems(manifold, seed):
             x = np.random.default_rng(seed).uniform(problem.lower, problem.upper)
@@ -67,8 +69,8 @@ def test_ends_where_no_step_within_the_box_leads_down(manifold):
             assert np.abs(projected_gradient(problem, found)).max() < 1e-4 * before
 
 
-def test_a_minimum_is_left_alone():
-    """From a minimizer nothing better can be found: the very same point comes back, or one as good."""
+def test_a_minimum_is_unchanged():
+    """Starting at a minimizer, the result is the same point up to rounding, and not worse."""
     for problem in problems(PLANE, 3):
         once = refine(problem, (problem.lower + problem.upper) / 2, PLANE)
         twice = refine(problem, once, PLANE)
@@ -76,13 +78,13 @@ def test_a_minimum_is_left_alone():
         assert problem.value(twice) <= problem.value(once)
 
 
-def test_a_source_on_the_axes_of_the_frame_is_no_special_case():
+def test_a_source_on_a_coordinate_axis_is_not_a_special_case():
     problem = problems(SPACE, 0)[0]
     assert problem.value(refine(problem, np.array([0.0, 0.0, 1.0]), SPACE)) < problem.value(np.array([0.0, 0.0, 1.0]))
 
 
 def test_resolution_is_the_beamwidth_and_the_depth_of_focus():
-    """From broadside to one beamwidth beside it the phases of a ULA's ends part by a full turn: a null."""
+    """One beamwidth from broadside, the phases at both ends of a ULA differ by a full turn, which is a null."""
     beamwidth, depth = resolution(PLANE)
     aperture = 23 * 0.01
     assert beamwidth == pytest.approx(WAVELENGTH / aperture)
@@ -93,11 +95,11 @@ def test_resolution_is_the_beamwidth_and_the_depth_of_focus():
     assert np.max(centred**2 * depth / 2 / WAVELENGTH) == pytest.approx(0.5)
 
 
-def test_a_search_that_ends_worse_is_not_believed(monkeypatch):
-    """L-BFGS-B may: where rounding decides, or at a kink of the repulsion."""
+def test_a_search_that_ends_at_a_worse_point_is_discarded(monkeypatch):
+    """L-BFGS-B may end at a worse point because of rounding or at a kink of the repulsion."""
     problem = problems(PLANE, 0)[0]
     x = refine(problem, np.array([0.1, 1.0]), PLANE)
-    astray = OptimizeResult(x=np.array([0.0, 1 / 5.0 / resolution(PLANE)[1]]), fun=0.0)  # the point (0, 5 m), scaled
-    monkeypatch.setattr(module, "minimize", lambda *args, **options: astray)
+    worse = OptimizeResult(x=np.array([0.0, 1 / 5.0 / resolution(PLANE)[1]]), fun=0.0)  # the point (0, 5 m), scaled
+    monkeypatch.setattr(module, "minimize", lambda *args, **options: worse)
     assert problem.value(np.array([0.0, 5.0])) > problem.value(x)
     assert_array_equal(refine(problem, x, PLANE), x)
