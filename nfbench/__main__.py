@@ -1,4 +1,4 @@
-"""``python -m nfbench`` is the same as ``nfbench``."""
+"""Makes ``python -m nfbench`` equivalent to the command ``nfbench``."""
 
 from nfbench.cli import main
 

@@ -1,4 +1,4 @@
-"""What the paper's scenario must give at full size: ULA M = 128, λ/4, T = 200, K = 3, 20 dB, line of sight."""
+"""Accuracy in the paper's scenario at full size: ULA M = 128, λ/4, T = 200, K = 3, 20 dB, line of sight."""
 
 import sys
 from dataclasses import replace
@@ -30,11 +30,11 @@ SCENARIO = NearField(
     azimuth_deg=(-60, 60),
     range_m=(1.27, 20.16),
 )
-BUDGET = 60_000  # the paper's 40 K individuals for 500 generations
+BUDGET = 60_000  # the paper's 40·K individuals for 500 generations, K = 3
 
 
 def solved(seed, solver):
-    """(estimate's RMSE [m], minimum of ESF) of NEEF on the scene of this seed."""
+    """NEEF on the scene with this seed: the RMSE of the estimate [m] and the minimum of ESF."""
     instance, minima = SCENARIO.draw(np.random.default_rng(seed)), []
 
     def run(problem):
@@ -74,10 +74,10 @@ def test_other_global_solvers_reach_the_same_optimum(name, de):
 def test_runs_of_the_quickstart_agree_with_those_on_numpy_objectives(
     formulation, module, compiled, plain, population, budget, rician_k, monkeypatch
 ):
-    """Where the run on kernels ends, both objectives agree in J, problem by problem; and so do the two runs' own J.
+    """Compiled and NumPy objectives agree at the minimizers of the compiled run, and both runs reach the same J.
 
-    But for NEMO's later problems: a minimizer is only known to the square root of J's rounding, and the next residual
-    changes with it to first order, so that their J agree to the square root of 1e-16 alone.
+    NEMO's later problems need a larger tolerance. A minimizer is known only to the square root of the rounding error
+    of J, and the next residual depends on it to first order, so that J agrees only to the square root of 1e-16.
     """
     instance = replace(SCENARIO, rician_k=rician_k, fading="block").draw(np.random.default_rng(3))
     solver = nfbench.solver("de", population=population)

@@ -1,4 +1,4 @@
-"""A package that registers a solver by entry point: installed, found by name, checked, grouped and run."""
+"""A package that registers a solver by entry point can be installed, found by name, checked and run."""
 
 import os
 import subprocess
@@ -27,7 +27,7 @@ evaluations = 2000
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
-    """Runs nfbench where the package is installed, in a folder of its own; no network is needed."""
+    """A function that runs nfbench in its own folder, with the package installed. It needs no network."""
     folder = tmp_path_factory.mktemp("package")
     source, site = folder / "source", folder / "site"
     source.mkdir()
@@ -51,7 +51,7 @@ def test_its_solver_is_listed_and_shown_with_its_origin(run):
     assert "solver compass (nfbench-compass 1.2.3)" in run("show", "solver", "compass").stdout
 
 
-def test_its_solver_keeps_the_contract(run):
+def test_its_solver_meets_the_contract(run):
     done = run("check", "solver", "compass")
     assert done.returncode == 0, done.stdout + done.stderr
     assert "FAIL" not in done.stdout and "ok   finds-minimum" in done.stdout

@@ -1,4 +1,4 @@
-"""Every study of the paper runs, small; and the committed ledger is what its script makes of the committed tables."""
+"""Every study of the paper runs in a small version, and the committed ledger follows from the committed tables."""
 
 import re
 import sys
@@ -11,11 +11,11 @@ import nfbench
 
 PROJECT = Path(__file__).parent.parent
 MANIFESTS = sorted((PROJECT / "studies" / "paper").glob("*.toml"))
-REFUSED = {"rmse_snr_half": {"modified MUSIC 400×2000"}}  # what a study is there to show refused
+REFUSED = {"rmse_snr_half": {"modified MUSIC 400×2000"}}  # methods that a study includes to show that they are refused
 
 
 def small(text: str) -> str:
-    """A manifest with coarse grids and hardly any evaluations."""
+    """The manifest with coarse grids and very few evaluations."""
     text = re.sub(r"(azimuth|elevation|range) = (\d+)", lambda side: f"{side[1]} = {int(side[2]) // 12}", text)
     return re.sub(r"evaluations = (\d+)", lambda budget: f"evaluations = {int(budget[1]) // 60}", text)
 
@@ -36,7 +36,7 @@ def test_a_study_of_the_paper_runs_from_end_to_end(manifest, tmp_path):
     assert runs[~refused].filter(["crb_m", "floor_m"]).notna().any(axis=1).all()
 
 
-def test_there_is_a_study_and_a_result_for_each_row_of_the_papers_evaluation():
+def test_each_part_of_the_papers_evaluation_has_a_study_and_results():
     names = {path.stem for path in MANIFESTS}
     assert len(names) == 16
     for name in names:
@@ -45,7 +45,7 @@ def test_there_is_a_study_and_a_result_for_each_row_of_the_papers_evaluation():
         assert f"{name}/" in (PROJECT / "results" / "paper" / "README.md").read_text(encoding="utf-8")
 
 
-def test_the_ledger_is_what_the_committed_tables_say(monkeypatch):
+def test_the_ledger_follows_from_the_committed_tables(monkeypatch):
     monkeypatch.syspath_prepend(PROJECT / "results" / "paper")
     sys.modules.pop("ledger", None)
     import ledger

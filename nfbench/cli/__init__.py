@@ -1,4 +1,4 @@
-"""The command line: ``nfbench run STUDY.toml`` and its companions."""
+"""The command line: ``nfbench run STUDY.toml`` and the other commands."""
 
 from __future__ import annotations
 

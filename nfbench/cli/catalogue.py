@@ -1,4 +1,4 @@
-"""Shows what is registered: the tables of ``nfbench list`` and the page of ``nfbench show``."""
+"""Prints the registered plugins: the tables of ``nfbench list`` and the page of ``nfbench show``."""
 
 from __future__ import annotations
 
@@ -33,10 +33,13 @@ __all__ = ["Filter", "print_catalogue", "print_plugin"]
 
 @dataclasses.dataclass(frozen=True)
 class Filter:
-    """Which solvers to list; None: whatever.
+    """Which solvers to list. A field that is None does not restrict the list.
 
-    group: a name in GROUPS. needs_gradient, batched, stochastic: as in SolverInfo. uninstalled: also those whose
-    extra is not installed.
+    group: name of the group, a key of GROUPS.
+    needs_gradient: whether the solvers need a gradient.
+    batched: whether the solvers evaluate points in batches.
+    stochastic: whether the solvers are stochastic.
+    uninstalled: whether to list plugins whose extra is not installed, too.
     """
 
     group: str | None = None
@@ -50,18 +53,19 @@ class Filter:
             raise OptionError("list", [("--group", f"unknown group {self.group!r}{suggest(self.group, GROUPS)}")])
 
     def admits(self, info: SolverInfo) -> bool:
-        asked = (
+        """Whether a solver with these properties is listed."""
+        properties = (
             (self.needs_gradient, info.needs_gradient),
             (self.batched, info.batched),
             (self.stochastic, info.stochastic),
         )
         if self.group is not None and (info.composed or not GROUPS[self.group](info)):
             return False
-        return all(want in (None, has) for want, has in asked)
+        return all(want in (None, has) for want, has in properties)
 
 
 def print_catalogue(registry: Registry, kinds: Iterable[str], console: Console, chosen: Filter | None = None) -> None:
-    """One table a kind, of the solvers those ``chosen``; a plugin that fails to import is listed with its error."""
+    """Print one table per kind. ``chosen`` filters the solvers. Plugins that fail to import show their error."""
     chosen = chosen or Filter()
     for kind in kinds:
         table = Table(title=f"{kind}s", title_justify="left", title_style="bold")
@@ -87,11 +91,11 @@ def print_catalogue(registry: Registry, kinds: Iterable[str], console: Console, 
         if hidden:
             console.print(f"Not installed: {', '.join(hidden)} (nfbench list {kind}s --all)")
     for file, why in registry.broken.items():
-        console.print(f"[red]{file.name} is left out: {escape(why)}[/red]")
+        console.print(f"[red]{file.name} could not be imported: {escape(why)}[/red]")
 
 
 def print_plugin(registry: Registry, kind: str, name: str, console: Console) -> None:
-    """What it is, in its docstring's words, and each option with type and default. Raises PluginError if unknown."""
+    """Print a plugin's docstring, and each option with type and default. Raises PluginError if it is unknown."""
     plugin = registry.find(kind, name)
     cls = plugin.resolve()
     console.print(f"[bold]{kind} {name}[/bold] ({plugin.origin})\n")
@@ -115,7 +119,7 @@ def print_plugin(registry: Registry, kind: str, name: str, console: Console) -> 
 
 
 def _print_options(title: str, cls: type, console: Console) -> None:
-    """A table of the options of one class."""
+    """Print a table of the options of one class."""
     table = Table(title=escape(title), title_justify="left", title_style="bold")
     for head in ("name", "type", "default"):
         table.add_column(head, overflow="fold")
@@ -128,8 +132,8 @@ def _print_options(title: str, cls: type, console: Console) -> None:
 
 _HEADS = {
     "solver": ("name", "search", "points", "random", "gradient", "extra", "reference"),
-    "formulation": ("name", "needs a solver", "what it is"),
-    "scenario": ("name", "ranked by", "what it is"),
+    "formulation": ("name", "needs a solver", "description"),
+    "scenario": ("name", "ranked by", "description"),
 }
 
 
@@ -145,21 +149,21 @@ def _row(kind: str, cls: Any, missing: str | None) -> list[str]:
             escape(info.reference),
         ]
     first_line = _doc(cls).partition("\n")[0]
-    what = f"{first_line} (not installed)" if missing else first_line
-    return [("yes" if cls.needs_solver else "no") if kind == "formulation" else cls.error, what]
+    description = f"{first_line} (not installed)" if missing else first_line
+    return [("yes" if cls.needs_solver else "no") if kind == "formulation" else cls.error, description]
 
 
 def _doc(cls: type) -> str:
-    """The class's own docstring, not the signature that a dataclass makes up for want of one."""
+    """The class's own docstring; empty if it only has the signature that dataclasses generate."""
     doc = inspect.getdoc(cls) or ""
     if doc.startswith(f"{cls.__name__}("):
         return ""
-    # lines that only wrap are joined, so that the terminal can wrap them; paragraphs, lists and "name: …" start anew
+    # join wrapped lines so that the terminal can wrap them; paragraphs, lists and "name: …" start a new line
     return re.sub(r"(?<=\S)\n(?![\n\s]|\w[\w, ]*: )", " ", doc)
 
 
 def _type(hint: Any) -> str:
-    """A field's type as a reader of a manifest needs it: ``int >= 4``, ``"clip" | "resample"``."""
+    """A field's type in the terms of a manifest: ``int >= 4``, ``"clip" | "resample"``."""
     if marks := _marks(hint):
         if isinstance(marks[0], OneOf):
             return "table of kind " + " | ".join(marks[0].classes)
@@ -182,7 +186,7 @@ def _is_table(hint: Any) -> bool:
 
 
 def _marks(hint: Any) -> tuple[Any, ...]:
-    """What ``Annotated`` says beside the type."""
+    """The marks that ``Annotated`` adds to the type."""
     return typing.get_args(hint)[1:] if typing.get_origin(hint) is typing.Annotated else ()
 
 

@@ -1,4 +1,4 @@
-"""What several commands share: the application, its arguments, and how it prints."""
+"""Shared by several commands: the application, common arguments, and output."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ __all__ = [
     "USAGE",
     "Folder",
     "GivenOptions",
+    "Jobs",
     "Plugins",
     "app",
     "output",
@@ -28,13 +29,24 @@ app = typer.Typer(no_args_is_help=True, add_completion=False, pretty_exceptions_
 
 OK, NOT_ALL_OK, USAGE, INTERRUPTED = 0, 1, 2, 130
 
-Plugins = Annotated[list[Path] | None, typer.Option("--plugin", help="A plugin file; may be given more than once.")]
-GivenOptions = Annotated[list[str] | None, typer.Option("--option", metavar="NAME=VALUE", help="An option of it.")]
-Folder = Annotated[Path, typer.Argument(metavar="DIR", help="A results folder, e.g. results/quickstart.")]
+Plugins = Annotated[
+    list[Path] | None, typer.Option("--plugin", help="Plugin file to load; can be given several times.")
+]
+GivenOptions = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--option", metavar="NAME=VALUE", help="Value of an option of the plugin, e.g. population=50; can be repeated."
+    ),
+]
+Jobs = Annotated[
+    int | None,
+    typer.Option("--jobs", min=0, help="Number of worker processes (default: one per core; 0: run in this process)."),
+]
+Folder = Annotated[Path, typer.Argument(metavar="DIR", help="Results folder, e.g. results/quickstart.")]
 
 
 def output() -> Console:
-    """Standard output: as wide as the terminal, or wide enough for our tables in a file or pipe."""
+    """A console on standard output, as wide as the terminal, or wide enough for our tables in a file or pipe."""
     console = Console(highlight=False)
     return console if console.is_terminal or "COLUMNS" in os.environ else Console(highlight=False, width=110)
 
@@ -45,7 +57,7 @@ def warn(text: str) -> None:
 
 
 def parsed_option(text: str) -> tuple[str, Any]:
-    """``population=50`` as a name and a value, read as in a manifest; what is not valid TOML is text."""
+    """Split ``population=50`` into name and value. The value is read as TOML, or as text if it is not valid TOML."""
     name, sign, value = text.partition("=")
     if not sign or not name:
         raise typer.BadParameter(f"expected NAME=VALUE, e.g. population=50, got {text!r}", param_hint="--option")

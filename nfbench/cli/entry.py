@@ -11,7 +11,7 @@ from rich.console import Console
 from nfbench import __version__
 from nfbench.core import NfbenchError
 
-from . import plugin_commands, results_commands, study_commands, tune_command  # noqa: F401  # they register themselves
+from . import plugin_commands, results_commands, study_commands, tune_command  # noqa: F401  # importing them registers the commands
 from .common import OK, USAGE, app
 
 __all__ = ["main"]
@@ -19,16 +19,16 @@ __all__ = ["main"]
 
 @app.callback(invoke_without_command=True)
 def about(
-    version: Annotated[bool, typer.Option("--version", help="Print the version and stop.")] = False,
+    version: Annotated[bool, typer.Option("--version", help="Print the version and exit.")] = False,
 ) -> None:
-    """Which optimizer, on which formulation, localizes near-field sources best for what you can spend?"""
+    """Benchmark optimizers and formulations for near-field source localization."""
     if version:
         typer.echo(f"nfbench {__version__}")
         raise typer.Exit
 
 
 def main() -> None:
-    """The entry point: every error of ours is a message and an exit code, never a traceback."""
+    """Run the command line. Errors of nfbench end in a message and an exit code, never in a traceback."""
     try:
         app(standalone_mode=True)
     except NfbenchError as error:

@@ -1,4 +1,4 @@
-"""The commands about plugins: ``list``, ``show``, ``check`` and ``new``."""
+"""The commands for plugins: ``list``, ``show``, ``check`` and ``new``."""
 
 from __future__ import annotations
 
@@ -14,16 +14,19 @@ from .common import NOT_ALL_OK, OK, GivenOptions, Plugins, app, output, parsed_o
 
 check_app = typer.Typer(no_args_is_help=True, help="Run the conformance checks on a plugin.")
 app.add_typer(check_app, name="check")
-new_app = typer.Typer(no_args_is_help=True, help="Write a plugin file that works, as a starting point for your own.")
+new_app = typer.Typer(no_args_is_help=True, help="Write a working plugin file as a starting point for your own.")
 app.add_typer(new_app, name="new")
 
-Timeout = Annotated[float, typer.Option(min=0.1, help="What one check may take at most [s].")]
-NewName = Annotated[str, typer.Argument(metavar="NAME", help="Its name in manifests, e.g. my-solver.")]
-Out = Annotated[Path | None, typer.Option(metavar="FILE", help="Where to write it (default: its name with .py).")]
+Timeout = Annotated[float, typer.Option(min=0.1, help="Time limit for each check, in seconds.")]
+NewName = Annotated[str, typer.Argument(metavar="NAME", help="Name of the plugin in manifests, e.g. my-solver.")]
+Out = Annotated[
+    Path | None,
+    typer.Option(metavar="FILE", help="Python file to write (default: named after the plugin, in this folder)."),
+]
 
 
 class Kind(StrEnum):
-    """What ``nfbench list`` can list, in the plural as one says it."""
+    """The kinds of plugins that ``nfbench list`` accepts."""
 
     SOLVERS = "solvers"
     FORMULATIONS = "formulations"
@@ -31,14 +34,14 @@ class Kind(StrEnum):
 
 
 class YesNo(StrEnum):
-    """The answer to a question about a solver."""
+    """The values of a filter on solvers."""
 
     YES = "yes"
     NO = "no"
 
 
 class One(StrEnum):
-    """What ``nfbench show`` can show."""
+    """The kinds of plugins that ``nfbench show`` accepts."""
 
     SOLVER = "solver"
     FORMULATION = "formulation"
@@ -47,27 +50,41 @@ class One(StrEnum):
 
 @app.command("list")
 def list_plugins(
-    kind: Annotated[Kind | None, typer.Argument(metavar="[solvers|formulations|scenarios]")] = None,
+    kind: Annotated[
+        Kind | None, typer.Argument(metavar="[solvers|formulations|scenarios]", help="What to list (default: all).")
+    ] = None,
     plugin: Plugins = None,
-    group: Annotated[str | None, typer.Option(help="Only solvers of this group, e.g. global, derivative-free.")] = None,
-    needs_gradient: Annotated[YesNo | None, typer.Option(help="Only solvers that need a gradient, or do not.")] = None,
-    batched: Annotated[YesNo | None, typer.Option(help="Only solvers that evaluate in batches, or do not.")] = None,
-    stochastic: Annotated[YesNo | None, typer.Option(help="Only solvers that are random, or are not.")] = None,
-    every: Annotated[bool, typer.Option("--all/--installed", help="Also what needs an extra that is missing.")] = False,
+    group: Annotated[
+        str | None, typer.Option(help="List only solvers of this group, e.g. global or derivative-free.")
+    ] = None,
+    needs_gradient: Annotated[
+        YesNo | None, typer.Option(help="List only solvers that need a gradient (yes) or need none (no).")
+    ] = None,
+    batched: Annotated[
+        YesNo | None, typer.Option(help="List only solvers that evaluate points in batches (yes) or one by one (no).")
+    ] = None,
+    stochastic: Annotated[
+        YesNo | None, typer.Option(help="List only stochastic (yes) or deterministic (no) solvers.")
+    ] = None,
+    every: Annotated[
+        bool, typer.Option("--all/--installed", help="Also list plugins whose optional dependency is not installed.")
+    ] = False,
 ) -> None:
-    """List what is registered, and what failed to import."""
+    """List the registered solvers, formulations and scenarios, and plugins that failed to import."""
     from nfbench.plugins import Registry
 
     from .catalogue import Filter, print_catalogue
 
-    asked = {"needs_gradient": needs_gradient, "batched": batched, "stochastic": stochastic}
-    filtered = group is not None or any(value is not None for value in asked.values())
+    criteria = {"needs_gradient": needs_gradient, "batched": batched, "stochastic": stochastic}
+    filtered = group is not None or any(value is not None for value in criteria.values())
     if filtered and kind not in (None, Kind.SOLVERS):
-        raise typer.BadParameter(f"expected solvers, as only they are told apart so, got {kind}", param_hint="KIND")
+        raise typer.BadParameter(
+            f"expected solvers, because these filters apply only to solvers, got {kind}", param_hint="KIND"
+        )
     chosen = Filter(
         group=group,
         uninstalled=every,
-        **{name: None if value is None else value is YesNo.YES for name, value in asked.items()},
+        **{name: None if value is None else value is YesNo.YES for name, value in criteria.items()},
     )
     kinds = [kind] if kind else [Kind.SOLVERS] if filtered else list(Kind)
     print_catalogue(Registry(plugin or ()), [k.removesuffix("s") for k in kinds], output(), chosen)
@@ -75,11 +92,11 @@ def list_plugins(
 
 @app.command()
 def show(
-    kind: Annotated[One, typer.Argument(metavar="KIND")],
-    name: Annotated[str, typer.Argument(metavar="NAME")],
+    kind: Annotated[One, typer.Argument(metavar="KIND", help="solver, formulation or scenario.")],
+    name: Annotated[str, typer.Argument(metavar="NAME", help="A registered name, e.g. de.")],
     plugin: Plugins = None,
 ) -> None:
-    """Show one solver, formulation or scenario: what it is, and every option with its default."""
+    """Show one solver, formulation or scenario: its description, and every option with its default."""
     from nfbench.plugins import Registry
 
     from .catalogue import print_plugin
@@ -89,12 +106,12 @@ def show(
 
 @check_app.command("solver")
 def check_solver(
-    solver: Annotated[str, typer.Argument(metavar="NAME|FILE", help="A registered name, or a plugin file.")],
+    solver: Annotated[str, typer.Argument(metavar="NAME|FILE", help="A registered name or a plugin file.")],
     plugin: Plugins = None,
     option: GivenOptions = None,
     timeout: Timeout = 120.0,
 ) -> None:
-    """Check that a solver keeps its contract: bounds, budget, seeds, robustness, accuracy."""
+    """Check that a solver meets its contract: bounds, budget, seeds, robustness, accuracy."""
     if solver.endswith(".toml"):
         raise typer.BadParameter(f"expected a solver's name or a plugin file, got {solver}", param_hint="NAME|FILE")
     _check("solver", solver, plugin, option, timeout)
@@ -109,7 +126,7 @@ def check_problem(
     option: GivenOptions = None,
     timeout: Timeout = 120.0,
 ) -> None:
-    """Check that a scenario and the problems made of it keep their contracts: seeds, scores, boxes, gradients."""
+    """Check that a scenario and its problems meet their contracts: seeds, scores, bounds, gradients."""
     _check("scenario", scenario, plugin, option, timeout)
 
 
@@ -119,32 +136,32 @@ def _check(kind: str, name: str, plugin: list[Path] | None, given: list[str] | N
 
     options = dict(parsed_option(text) for text in given or ())
     try:
-        wanted = list(check_jobs(kind, name, plugin or (), options))
+        jobs = list(check_jobs(kind, name, plugin or (), options))
     except OptionError as error:
-        hint = "; give it by --option NAME=VALUE" if "is required" in str(error) else ""
+        hint = "; set it with --option NAME=VALUE" if "is required" in str(error) else ""
         raise NfbenchError(f"{error}{hint}") from error
     passed = True
-    for job in wanted:
+    for job in jobs:
         typer.echo(job.name)
-        first: dict[str, str] = {}  # where a message was told
+        first: dict[str, str] = {}  # the first check with each message
         for result in watched_checks(job, timeout):
             passed &= result.passed
             where = first.setdefault(result.message, result.name)
-            told = result.message if where == result.name or result.passed else f"the same as in {where}"
-            told = f"{': ' if told else ''}{told}"
-            typer.echo(f"  {'ok  ' if result.passed else 'FAIL'} {result.name}{told}")
+            text = result.message if where == result.name or result.passed else f"the same as in {where}"
+            text = f"{': ' if text else ''}{text}"
+            typer.echo(f"  {'ok  ' if result.passed else 'FAIL'} {result.name}{text}")
     raise typer.Exit(OK if passed else NOT_ALL_OK)
 
 
 @new_app.command("solver")
 def new_solver(name: NewName, out: Out = None) -> None:
-    """Write a small solver that works, with its test, to make your own of."""
+    """Write a small working solver and its test, as a starting point for your own."""
     _new("solver", name, out)
 
 
 @new_app.command("problem")
 def new_problem(name: NewName, out: Out = None) -> None:
-    """Write a small scenario that works, with its problem and its test, to make your own of."""
+    """Write a small working scenario, its problem and its test, as a starting point for your own."""
     _new("problem", name, out)
 
 

@@ -1,4 +1,4 @@
-"""Progress of a running study: a live view on a terminal, plain lines elsewhere."""
+"""Progress of a running study: a live view in a terminal, plain lines elsewhere."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ __all__ = ["Lines", "LiveView", "Quiet"]
 
 LINE_EVERY_S = 10.0
 LEADERS = 3
-STOPPING = "Finishing the runs in flight; Ctrl-C again stops at once."
+STOPPING = "Finishing the current runs; press Ctrl-C again to stop at once."
 
 
 class Quiet:
-    """Says nothing."""
+    """Prints nothing."""
 
     def begin(self, total: int, done: int) -> None: ...
 
@@ -40,7 +40,7 @@ class Quiet:
 
 
 class _Tally:
-    """Counts what is not ok, and keeps the methods in the order of their mean square error so far."""
+    """Counts the runs that are not ok, and ranks the methods by their mean square error so far."""
 
     def __init__(self, error: str) -> None:
         self._error = error
@@ -57,19 +57,19 @@ class _Tally:
 
     @property
     def bad(self) -> str:
-        """``3 failed, 1 timeout``, or nothing."""
+        """The runs that are not ok, e.g. ``3 failed, 1 timeout``; empty if there are none."""
         return ", ".join(f"{count} {status}" for status, count in self._bad.items())
 
     @property
     def leaders(self) -> str:
-        """The leading methods, over all scenario points of this session."""
+        """The methods with the lowest error, over all scenario points of this session."""
         means = {method: math.sqrt(total / count) for method, (total, count) in self._squares.items()}
         best = sorted(means, key=means.__getitem__)[:LEADERS]
         return ", ".join(f"{method} {means[method]:.3g}" for method in best)
 
 
 class LiveView:
-    """Runs done, rate, time left, failures, and the leading methods so far, for terminals."""
+    """Shows runs done, rate, time left, failures and the leading methods so far in a terminal."""
 
     def __init__(self, console: Console, error: str) -> None:
         self._bar = Progress(
@@ -78,7 +78,7 @@ class LiveView:
             MofNCompleteColumn(),
             TextColumn("{task.fields[rate]}"),
             TimeElapsedColumn(),
-            TextColumn("left"),
+            TextColumn("remaining"),
             TimeRemainingColumn(),
             console=console,
         )
@@ -101,7 +101,7 @@ class LiveView:
         self._note.plain = "\n".join(
             line
             for line in (
-                self._tally.leaders and f"leading ({self._name}): {self._tally.leaders}",
+                self._tally.leaders and f"lowest {self._name} so far: {self._tally.leaders}",
                 self._tally.bad and f"not ok: {self._tally.bad}",
             )
             if line
@@ -122,7 +122,7 @@ class LiveView:
 
 
 class Lines:
-    """A plain line every ten seconds and at the end, for logs and pipes."""
+    """Prints a plain line every ten seconds and at the end, for logs and pipes."""
 
     def __init__(self, console: Console, error: str) -> None:
         self._console = console
@@ -133,8 +133,8 @@ class Lines:
     def begin(self, total: int, done: int) -> None:
         self._total, self._done, self._before = total, done, done
         self._start = self._last = time.monotonic()
-        before = f"{done} of {total} runs were done before, " if done else ""
-        self._console.print(f"{before}{total - done} runs to do")
+        before = f"{done} of {total} runs are already done; " if done else ""
+        self._console.print(f"{before}runs to do: {total - done}")
 
     def finished(self, spec: RunSpec, record: RunRecord) -> None:
         self._done += 1
@@ -145,7 +145,9 @@ class Lines:
             elapsed = now - self._start
             left = elapsed / (self._done - self._before) * (self._total - self._done)
             bad = f", not ok: {self._tally.bad}" if self._tally.bad else ""
-            self._console.print(f"{self._done} of {self._total} runs, {elapsed:.0f} s, {left:.0f} s left{bad}")
+            self._console.print(
+                f"{self._done} of {self._total} runs done, {elapsed:.0f} s elapsed, {left:.0f} s left{bad}"
+            )
 
     def stopping(self) -> None:
         self._console.print(STOPPING)

@@ -12,21 +12,21 @@ from .common import NOT_ALL_OK, OK, Folder, Plugins, app, output, warn
 
 
 class Width(StrEnum):
-    """What a figure fills."""
+    """The widths of a figure."""
 
     SINGLE = "single"
     DOUBLE = "double"
 
 
 class Metric(StrEnum):
-    """Which error a figure shows."""
+    """The error measures that a figure can show."""
 
     RMSE = "rmse"
     MEDIAN = "median"
 
 
 class Target(StrEnum):
-    """What ``nfbench export`` can write."""
+    """The formats that ``nfbench export`` can write."""
 
     IOH = "ioh"
     CSV = "csv"
@@ -34,22 +34,25 @@ class Target(StrEnum):
 
 @app.command()
 def merge(
-    folders: Annotated[list[Path], typer.Argument(metavar="DIR...", help="Folders of one study, e.g. its shards.")],
-    out: Annotated[Path, typer.Option(help="The folder to join them in.")],
+    folders: Annotated[
+        list[Path], typer.Argument(metavar="DIR...", help="Results folders of one study, e.g. its shards.")
+    ],
+    out: Annotated[Path, typer.Option(help="Folder for the merged results: a new one, or one of the same study.")],
 ) -> None:
-    """Join the folders of one study, such as its shards, in one; refuses what contradicts."""
+    """Merge results folders of one study, such as its shards. Contradicting results are refused."""
     from nfbench.results import merge as merge_folders
 
     counts = merge_folders(folders, out).counts
     total = sum(counts.values())
-    typer.echo(f"{out}: {total - counts.get('open', 0)} of {total} runs, from {len(folders)} folders")
+    typer.echo(f"{out}: {total - counts.get('open', 0)} of {total} runs done, merged from {len(folders)} folders")
 
 
 @app.command()
 def compare(
-    first: Annotated[Path, typer.Argument(metavar="DIR")], second: Annotated[Path, typer.Argument(metavar="DIR")]
+    first: Annotated[Path, typer.Argument(metavar="DIR", help="Results folder.")],
+    second: Annotated[Path, typer.Argument(metavar="DIR", help="Another results folder of the same study.")],
 ) -> None:
-    """Say which runs of two folders of one study differ, by how much, and whether it matters."""
+    """Compare the runs of two results folders of one study. The exit code is 1 if the difference matters."""
     from nfbench.report import print_comparison
     from nfbench.results import compare as compare_folders
 
@@ -60,7 +63,7 @@ def compare(
 
 @app.command()
 def report(folder: Folder) -> None:
-    """Show again what a study found."""
+    """Print the tables and verdicts of a study."""
     from nfbench.report import print_report
     from nfbench.results import Results
 
@@ -70,21 +73,28 @@ def report(folder: Folder) -> None:
 @app.command()
 def figure(
     folder: Folder,
-    out: Annotated[Path | None, typer.Option(help="Where the figures go (default: DIR).")] = None,
-    formats: Annotated[str, typer.Option("--format", help="svg, pdf, png, or several with commas.")] = "svg,pdf",
-    width: Annotated[Width, typer.Option(help="Of an IEEE column (3.5 in) or page (7.16 in).")] = Width.SINGLE,
-    metric: Annotated[Metric | None, typer.Option(help="Show one alone (default: both, and outliers).")] = None,
-    title: Annotated[bool, typer.Option(help="The study's title above each figure.")] = True,
-    positions: Annotated[
-        bool | None, typer.Option(help="True and estimated positions (default: where the study is small).")
+    out: Annotated[Path | None, typer.Option(help="Folder for the figures (default: DIR).")] = None,
+    formats: Annotated[
+        str, typer.Option("--format", help="svg, pdf, png, or several of them separated by commas.")
+    ] = "svg,pdf",
+    width: Annotated[
+        Width, typer.Option(help="Width of the figures: an IEEE column (3.5 in) or page (7.16 in).")
+    ] = Width.SINGLE,
+    metric: Annotated[
+        Metric | None,
+        typer.Option(help="Error measure to show (default: both, and the outlier rate if there are outliers)."),
     ] = None,
-    traces: Annotated[bool, typer.Option("--traces", help="Objective against evaluations.")] = False,
+    title: Annotated[bool, typer.Option(help="Print the study's title above each figure.")] = True,
+    positions: Annotated[
+        bool | None, typer.Option(help="Draw true and estimated positions (default: only if the study is small).")
+    ] = None,
+    traces: Annotated[bool, typer.Option("--traces", help="Also draw the objective against evaluations.")] = False,
     manifest: Annotated[
-        Path | None, typer.Option(help="Where positions' scenario is read (default: DIR/manifest.toml).")
+        Path | None, typer.Option(help="Manifest with the scenario of the positions (default: DIR/manifest.toml).")
     ] = None,
     plugin: Plugins = None,
 ) -> None:
-    """Draw a study's figures: error over the sweep, run time against error, positions, convergence."""
+    """Draw a study's figures: error against the swept values, run time against error, positions, convergence."""
     from nfbench.figures import FORMATS, Drawing, write_figures
     from nfbench.results import Results
 
@@ -102,12 +112,12 @@ def figure(
 @app.command()
 def export(
     folder: Folder,
-    to: Annotated[Target, typer.Option(help="IOHprofiler's data format, or a table.")],
+    to: Annotated[Target, typer.Option(help="Format: IOHprofiler's data format, or a CSV table.")],
     out: Annotated[
-        Path | None, typer.Option(metavar="PATH", help="Where to (default: export-ioh/ or traces.csv in DIR).")
+        Path | None, typer.Option(metavar="PATH", help="Path to write (default: export-ioh/ or traces.csv in DIR).")
     ] = None,
 ) -> None:
-    """Write the traces of a study's runs, objective against evaluations, for other tools."""
+    """Export the traces of a study's runs (objective against evaluations) for other tools."""
     from nfbench.results import Results, export_csv, export_ioh
 
     write = {Target.IOH: export_ioh, Target.CSV: export_csv}[to]

@@ -1,4 +1,4 @@
-"""Shows a tuning on the terminal."""
+"""Prints the progress and the result of a tuning."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ __all__ = ["TuningView"]
 
 @final
 class TuningView:
-    """Shows a tuning: unless ``quiet`` each trial that is the best so far, and what came of it."""
+    """Prints a tuning: each trial that is the best so far, unless ``quiet``, and the result."""
 
     def __init__(self, console: Console, quiet: bool = False) -> None:
         self.console, self.quiet = console, quiet
         self.best = math.inf
 
     def trial(self, trial: Trial) -> None:
-        """A trial has ended."""
+        """Print a trial if it is the best so far."""
         if trial.score < self.best and not self.quiet:
             self.best = trial.score
             options = ", ".join(f"{name} = {value}" for name, value in trial.options.items())
@@ -34,7 +34,7 @@ class TuningView:
             self.console.print(text, markup=False, soft_wrap=True)
 
     def result(self, found: Tuning, folder: Path) -> None:
-        """The best setting beside the default, on training and on held-out scenes."""
+        """Print the best setting next to the default, with their errors on training and held-out scenes."""
         first, best, plan = found.trials[0], found.best, found.plan
         unit = " m" if found.error.endswith("_m") else ""
         table = Table(box=SIMPLE_HEAD, pad_edge=False)
@@ -45,18 +45,19 @@ class TuningView:
         self.console.print(table)
         failed = sum(math.isnan(trial.score) for trial in found.trials)
         self.console.print(
-            f"On {plan.training * len(found.study.points)} training scenes, for {found.method.formulation.label}: "
-            f"{number_text(10**best.score)}{unit}, with the default {number_text(10**first.score)}{unit} "
-            f"(geometric mean of {found.error}; that of the best of {len(found.trials)} flatters it)."
-            + (f" {failed} settings failed; trials.csv says why." if failed else ""),
+            f"Geometric mean of {found.error} on {plan.training * len(found.study.points)} training scenes, "
+            f"{found.method.formulation.label}: {number_text(10**best.score)}{unit} with the best setting, "
+            f"{number_text(10**first.score)}{unit} with the default. The former is optimistic, "
+            f"because it is the best of {len(found.trials)} trials."
+            + (f" Failed trials: {failed}; see trials.csv for the reasons." if failed else ""),
             markup=False,
         )
         if found.held_out is not None:
             self.console.print(
-                summary_table("held out", found.held_out, found.error, found.study.outlier_m, self.console)
+                summary_table("Held-out scenes", found.held_out, found.error, found.study.outlier_m, self.console)
             )
         self.console.print(found.verdict, markup=False)
         if found.interrupted:
             done = f"{len(found.trials)} of {plan.trials + 1} trials"
-            self.console.print(f"Interrupted after {done}; the same command goes on from here.")
+            self.console.print(f"Interrupted after {done}. Run the same command to resume.")
         self.console.print(f"\nWritten to {folder}/: tuned.toml, trials.csv, tuning.json", soft_wrap=True)

@@ -1,4 +1,4 @@
-"""Runs the plan of a study: here, in worker processes, or on a cluster."""
+"""Runs the plan of a study: in this process, in worker processes, or on a cluster."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _MODULES = {
 
 
 def __getattr__(name: str) -> Any:
-    """Import on first use: a worker process imports this package, and needs neither the engine nor pandas."""
+    """Import on first use: worker processes import this package but need neither the engine nor pandas."""
     if name in _MODULES:
         return getattr(importlib.import_module(f".{_MODULES[name]}", __name__), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

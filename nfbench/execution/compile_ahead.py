@@ -1,4 +1,4 @@
-"""Compiles and loads what the runs of a study need, before any clock runs."""
+"""Compiles and loads what the runs of a study need, before any run is timed."""
 
 from __future__ import annotations
 
@@ -11,9 +11,12 @@ __all__ = ["warm_up"]
 
 
 def warm_up(study: Study, solvers: Iterable[PluginSpec] | None = None) -> None:
-    """Warm up the scenario and the solvers (default: all of the study) here, where their messages are seen.
+    """Warm up the scenario and the solvers in this process, where the user sees their messages.
 
-    Workers then find what was compiled. Plugins that cannot be imported are left out: their runs fail.
+    Workers then find the compiled code. Plugins that cannot be imported are skipped; their runs fail later.
+
+    study: the study whose scenario is warmed up.
+    solvers: the solvers to warm up; None: all solvers of the study.
     """
     registry = Registry(study.plugins)
     if solvers is None:

@@ -1,4 +1,4 @@
-"""The cluster engine: runs specs on the workers of a dask.distributed scheduler, each behind the same wall as here."""
+"""The cluster engine: runs specs on the workers of a dask.distributed scheduler, isolated as in local workers."""
 
 from __future__ import annotations
 
@@ -34,17 +34,17 @@ try:
     import distributed
     from distributed.utils import silence_logging_cmgr
 except ImportError:
-    raise NfbenchError("running on a cluster needs dask.distributed: pip install 'nfbench[dask]'") from None
+    raise NfbenchError("dask.distributed is needed but not installed: pip install 'nfbench[dask]'") from None
 
 __all__ = ["run_on_cluster"]
 
-AHEAD = 4  # tasks in flight for each slot (thread of a worker): its memory and ours stay flat however long the study
-LARGEST = 32  # runs in a task, which otherwise costs more than a short run
-SLICE = 0.2  # seconds after which a task begins no further run and hands back what is left of it
-PATIENCE = 0.05  # seconds in which finished tasks are gathered into one batch
-LOOK = 1.0  # seconds between looks at how many workers there are
-CONNECT = 10.0  # seconds in which the scheduler must answer
-DYING = 1.0  # seconds in which a worker learns that not just its run was killed, but itself
+AHEAD = 4  # tasks in flight per worker thread; a fixed number, so that a long study needs no more memory
+LARGEST = 32  # maximum number of runs in a task; short runs share its overhead
+SLICE = 0.2  # seconds after which a task starts no further run and hands back the rest
+PATIENCE = 0.05  # seconds to wait for a finished task
+LOOK = 1.0  # seconds between checks of the number of workers
+CONNECT = 10.0  # seconds within which the scheduler must answer
+DYING = 1.0  # seconds to wait, after a run was killed, for the news that the whole worker is being shut down
 SILENT = logging.CRITICAL + 1
 
 VERSION = version("nfbench")
@@ -53,11 +53,15 @@ VERSION = version("nfbench")
 def run_on_cluster(
     specs: Iterable[RunSpec], plugins: Iterable[str | Path], address: str, stop: Callable[[], bool]
 ) -> Batches:
-    """Run specs on a cluster and yield finished ones in batches, in any order, each with its record.
+    """Run specs on a cluster and yield batches of (spec, record) pairs as the runs finish, in any order.
 
-    address: of a dask.distributed scheduler, e.g. ``tcp://host:8786``, or ``local:N`` for N workers of our own on
-    this machine. Plugin files are sent along. Once ``stop()`` is true, runs that have started are finished and no
-    other is. Raises NfbenchError where the cluster cannot be used, or is lost on the way.
+    specs: the runs to execute.
+    plugins: plugin files, which are sent to the workers.
+    address: address of a dask.distributed scheduler, e.g. ``tcp://host:8786``, or ``local:N`` to start N workers on
+    this machine.
+    stop: once it returns True, runs that have started are finished and no other run is started.
+
+    Raises NfbenchError if the cluster cannot be used, or is lost during the study.
     """
     feed = iter(specs)
     first = next(feed, None)
@@ -65,13 +69,13 @@ def run_on_cluster(
         return  # a finished study needs no cluster
     crew = Crew([(Path(file).name, Path(file).read_bytes()) for file in plugins], _local_workers(address) > 0)
     with _connected(address) as client:
-        with _in_our_words(address):
+        with _dask_errors_translated(address):
             _refuse_other_versions(client)
         yield from _Session(client, crew, itertools.chain([first], feed), address, stop).run()
 
 
 class _Session:
-    """One study on one cluster, seen from this side."""
+    """One study on one cluster, as the client sees it."""
 
     def __init__(
         self,
@@ -87,24 +91,24 @@ class _Session:
         self._address = address
         self._stop = stop
         self._specs = itertools.takewhile(lambda _: not stop(), specs)
-        self._again: deque[list[RunSpec]] = deque()  # handed back by a task: each goes out on its own
+        self._again: deque[list[RunSpec]] = deque()  # handed back by a task, each sent again on its own
         self._size = 1  # runs in the next task
         self._waiting: dict[distributed.Future[Any], list[RunSpec]] = {}
         self._done: queue.SimpleQueue[tuple[distributed.Future[Any], Any]] = queue.SimpleQueue()
-        self._suspects: set[str] = set()  # runs that were held by too many lost workers
-        self._error: NfbenchError | None = None  # to be raised once the rows that are here are out
+        self._suspects: set[str] = set()  # runs that dask gave up once, after losing several workers
+        self._error: NfbenchError | None = None  # raised once all rows that have arrived are yielded
         self._slots = -1
         self._stopping = False
         self._looked = -math.inf
 
     def run(self) -> Batches:
-        """The batches. When this ends, however it does, the cluster is as it was before."""
+        """Yield the batches. However this ends, the cluster is then in the same state as before."""
         try:
-            with _in_our_words(self._address):
+            with _dask_errors_translated(self._address):
                 self._client.register_plugin(self._crew, name=self._name)
             while True:
-                with _in_our_words(self._address):
-                    self._look_around()
+                with _dask_errors_translated(self._address):
+                    self._check_workers()
                     self._fill()
                     if not self._waiting:
                         return
@@ -115,41 +119,43 @@ class _Session:
                     raise self._error
         finally:
             if self._client.status == "running":
-                with contextlib.suppress(Exception):  # a scheduler that goes away now has nothing left to tidy up
+                with contextlib.suppress(Exception):  # if the scheduler disappears now, there is nothing to clean up
                     self._client.cancel(list(self._waiting))
                     self._client.unregister_worker_plugin(self._name)
 
-    def _look_around(self) -> None:
-        """Every now and then: how many workers there are, and whether they know that it is time to stop."""
+    def _check_workers(self) -> None:
+        """Count the workers and pass on a request to stop: every LOOK seconds, and when the request comes."""
         stopping = self._stop()
         if stopping == self._stopping and time.monotonic() < self._looked + LOOK:
             return
         slots = sum(self._client.nthreads().values())
         if not slots and self._slots:
-            logging.getLogger("nfbench").warning("no workers at %s; waiting for them", self._address)
+            logging.getLogger("nfbench").warning(
+                "no workers are connected to the scheduler at %s; waiting for workers", self._address
+            )
         self._slots, self._stopping, self._looked = slots, stopping, time.monotonic()
         if not stopping:
             return
         self._again.clear()
-        if slots:  # each time, as workers may have come since the last
+        if slots:  # at every check, because workers may have joined since the last
             self._client.run(_halt, self._name, on_error="ignore")
         else:
             self._client.cancel(list(self._waiting))
             self._waiting.clear()
 
     def _fill(self) -> None:
-        """Send out tasks, some ahead of what the workers can do now; a few also while there is no worker yet."""
+        """Submit more tasks than the workers can start now, and a few even while there is no worker yet."""
         while len(self._waiting) < AHEAD * max(self._slots, 1):
             specs = self._again.popleft() if self._again else list(itertools.islice(self._specs, self._size))
             if not specs:
                 return
-            # pickled here, so that the scheduler, which opens what it is sent, has only bytes to pass on
+            # pickled here, because the scheduler unpickles arguments and should only pass on bytes
             future = self._client.submit(_work, self._name, pickle.dumps(specs), pure=False)
             self._waiting[future] = specs
             cast(Any, self._client.loop).add_callback(self._collect, future)
 
     async def _collect(self, future: distributed.Future[Any]) -> None:
-        """On dask's own thread: fetch the outcome once there is one, be it lost and made again meanwhile."""
+        """Wait on dask's own thread for the outcome, even if it is lost and recomputed in between."""
         try:
             outcome = await future
         except (Exception, asyncio.CancelledError) as error:
@@ -157,7 +163,7 @@ class _Session:
         self._done.put((future, outcome))
 
     def _finished(self) -> list[tuple[RunSpec, RunRecord]]:
-        """What is finished now, or within a moment."""
+        """The runs that are finished now or within PATIENCE seconds."""
         batch = []
         with contextlib.suppress(queue.Empty):
             outcomes = [self._done.get(timeout=PATIENCE)]
@@ -167,30 +173,30 @@ class _Session:
                 if future in self._waiting:
                     batch += self._rows(self._waiting.pop(future), outcome)
         if self._client.status != "running":
-            self._error = self._error or _lost(self._address, "it is gone")
+            self._error = self._error or _lost_scheduler(self._address, "the connection is closed")
         return batch
 
     def _rows(self, specs: list[RunSpec], outcome: Any) -> list[tuple[RunSpec, RunRecord]]:
-        """The rows of one task; the runs it did not come to are sent again, unless we stop."""
+        """The records of one task. Runs that it did not start are sent again, unless the study is stopping."""
         if isinstance(outcome, distributed.KilledWorker):
             if len(specs) == 1 and specs[0].run_id in self._suspects:
-                words = (
+                message = (
                     f"the cluster lost {2 * (outcome.allowed_failures + 1)} workers that held this run, the last of "
-                    f"them {outcome.last_worker.address}; their logs may tell why"
+                    f"them {outcome.last_worker.address}; their logs may show the reason"
                 )
-                return [(specs[0], RunRecord(specs[0].run_id, Status.CRASHED, words))]
-            # dask blames also what merely waited on a lost worker: each gets a second time, alone
+                return [(specs[0], RunRecord(specs[0].run_id, Status.CRASHED, message))]
+            # dask also blames runs that merely waited on a lost worker: each gets a second try, alone
             self._suspects.update(spec.run_id for spec in specs)
             outcome = []
         elif isinstance(outcome, CancelledError | asyncio.CancelledError):
-            self._error, outcome = _lost(self._address, "it dropped the runs it was given"), []
+            self._error, outcome = _lost_scheduler(self._address, "it cancelled the submitted runs"), []
         elif isinstance(outcome, NfbenchError):
             self._error, outcome = outcome, []
-        elif isinstance(outcome, OSError):  # also dask's CommClosedError: the connection broke while a result came
-            self._error, outcome = _lost(self._address, explain(outcome)), []
+        elif isinstance(outcome, OSError):  # includes dask's CommClosedError: the connection broke during a transfer
+            self._error, outcome = _lost_scheduler(self._address, explain(outcome)), []
         elif isinstance(outcome, BaseException):
-            words = f"the cluster at {self._address} cannot take runs: {explain(outcome)}; finished rows are kept"
-            self._error, outcome = NfbenchError(words), []
+            message = f"the cluster at {self._address} cannot execute runs: {explain(outcome)}; finished rows are kept"
+            self._error, outcome = NfbenchError(message), []
         records = cast(list[RunRecord], outcome)
         if len(records) == len(specs):
             self._size = min(max(self._size, 2 * len(specs)), LARGEST)
@@ -201,9 +207,10 @@ class _Session:
 
 
 class Crew(distributed.WorkerPlugin):
-    """What a dask worker holds for one study: its plugin files, and processes of its own that may hang and die.
+    """What a dask worker holds for one study: the plugin files, and its own pool of processes that execute the runs.
 
-    files: name and content of each plugin file. ours: whether the worker is one that we started.
+    files: name and content of each plugin file.
+    ours: whether the worker belongs to a cluster that nfbench started (``local:N``).
     """
 
     def __init__(self, files: list[tuple[str, bytes]], ours: bool) -> None:
@@ -212,12 +219,12 @@ class Crew(distributed.WorkerPlugin):
         self._ours = ours
 
     def setup(self, worker: distributed.Worker) -> None:
-        """Called by dask on each worker, before it takes runs."""
-        # A nanny starts its worker as a daemon, to which multiprocessing forbids children for fear that they outlive
-        # it. Ours end with their pool, and are killed by the kernel when their parent is.
+        """Called by dask on each worker, before it receives runs."""
+        # A nanny starts its worker as a daemonic process, and multiprocessing forbids those to have children, which
+        # might outlive them. Our children end with their pool, and the kernel kills them when their parent dies.
         multiprocessing.current_process().daemon = False
         if self._ours:
-            signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C in the terminal is for the parent
+            signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent process handles Ctrl-C in the terminal
         self._jobs = worker.state.nthreads
         self._within = worker.local_directory
         self._lock = threading.Lock()
@@ -236,11 +243,11 @@ class Crew(distributed.WorkerPlugin):
                 self._folder.cleanup()
 
     def halt(self) -> None:
-        """Begin no further run."""
+        """Start no further run."""
         self._halted.set()
 
     def run(self, specs: list[RunSpec]) -> list[RunRecord]:
-        """The records of the first of these: those that are begun before the time slice is over."""
+        """Execute these runs until the time slice is over, at least one unless halted; return their records."""
         records: list[RunRecord] = []
         end = time.monotonic() + SLICE
         for spec in specs:
@@ -251,23 +258,23 @@ class Crew(distributed.WorkerPlugin):
 
     def _record(self, spec: RunSpec) -> RunRecord:
         with self._lock:
-            self._go_on()
+            self._raise_if_closed()
             self._pool = self._pool or ProcessPool(self._unpacked(), self._jobs)
             future = self._pool.submit(spec)
         while not wait([future], timeout=0.1).done:
-            self._go_on()  # a pool that is killed leaves the runs it has without an end
+            self._raise_if_closed()  # the futures of a killed pool never finish
         record = future.result()
         if record.status == Status.CRASHED and re.search(r"\((SIGTERM|SIGKILL)\)", record.message):
-            self._closed.wait(DYING)  # who ends a job ends all of its processes: then the run is not to blame
-        self._go_on()
+            self._closed.wait(DYING)  # ending a cluster job kills all of its processes: then the run is not at fault
+        self._raise_if_closed()
         return record
 
-    def _go_on(self) -> None:
+    def _raise_if_closed(self) -> None:
         if self._closed.is_set():
             raise distributed.Reschedule
 
     def _unpacked(self) -> list[Path]:
-        """The plugin files, each in a folder of its own, as two may have one name."""
+        """Write the plugin files, each to its own folder because two may have the same name; return the paths."""
         self._folder = tempfile.TemporaryDirectory(prefix="nfbench-", dir=self._within, ignore_cleanup_errors=True)
         paths = [Path(self._folder.name) / str(number) / name for number, (name, _) in enumerate(self._files)]
         for path, (_, content) in zip(paths, self._files, strict=True):
@@ -277,7 +284,7 @@ class Crew(distributed.WorkerPlugin):
 
 
 def _work(name: str, specs: bytes) -> list[RunRecord]:
-    """A task: what a dask worker does."""
+    """The task that a dask worker executes: run these pickled specs."""
     worker = distributed.get_worker()
     crew = cast(Crew | None, worker.plugins.get(name))
     if crew is None:  # the worker is closing
@@ -289,10 +296,10 @@ def _work(name: str, specs: bytes) -> list[RunRecord]:
     except distributed.Reschedule:
         raise
     except Exception as error:
-        where, why = f"worker {worker.address} on {socket.gethostname()}", explain(error)
+        where, reason = f"worker {worker.address} on {socket.gethostname()}", explain(error)
         if isinstance(error, NfbenchError):
-            why = str(error)
-        raise NfbenchError(f"{where} cannot take runs: {why}; finished rows are kept") from error
+            reason = str(error)
+        raise NfbenchError(f"{where} cannot execute runs: {reason}; finished rows are kept") from error
 
 
 def _halt(name: str, dask_worker: distributed.Worker) -> None:
@@ -302,29 +309,29 @@ def _halt(name: str, dask_worker: distributed.Worker) -> None:
 
 @contextlib.contextmanager
 def _connected(address: str) -> Iterator[distributed.Client]:
-    """A client of the scheduler there, or of a cluster of our own, which is closed at the end; both in silence."""
+    """A client of the scheduler, or of a new local cluster that is closed at the end. Both log nothing."""
     with contextlib.ExitStack() as stack:
         stack.enter_context(silence_logging_cmgr(SILENT))
         if workers := _local_workers(address):
-            address = stack.enter_context(_our_cluster(workers)).scheduler_address
+            address = stack.enter_context(_new_cluster(workers)).scheduler_address
         try:
             client = distributed.Client(address, timeout=CONNECT, set_as_default=False, name="nfbench")
         except (OSError, ValueError, ImportError) as error:
             raise NfbenchError(
-                f"no dask scheduler answers at {address!r} within {CONNECT:g} s ({explain(error)}); expected an "
+                f"no dask scheduler answered at {address!r} within {CONNECT:g} s ({explain(error)}); expected an "
                 f"address such as tcp://host:8786, as `dask scheduler` prints it, or local:N"
             ) from None
         yield stack.enter_context(client)
 
 
-def _our_cluster(workers: int) -> distributed.LocalCluster:
+def _new_cluster(workers: int) -> distributed.LocalCluster:
     return distributed.LocalCluster(
         n_workers=workers,
         threads_per_worker=1,
         host="127.0.0.1",
         dashboard_address=None,
-        scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},  # health checks, without which there is no scheduler
-        memory_limit=0,  # a run's memory is its own process's, which run_memory_mb limits
+        scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},  # serves health checks; the scheduler needs it
+        memory_limit=0,  # each run has its own process, whose memory run_memory_mb limits
         silence_logs=SILENT,
     )
 
@@ -340,36 +347,36 @@ def _local_workers(address: str) -> int:
 
 
 def _refuse_other_versions(client: distributed.Client) -> None:
-    """Raise NfbenchError unless the scheduler and the workers of now have our version; later ones tell in _work."""
+    """Raise NfbenchError unless the scheduler and current workers have our version; ``_work`` checks later ones."""
     found = client.run(version, "nfbench", on_error="return")
     try:
         scheduler = client.run_on_scheduler(version, "nfbench")
-    except Exception as error:  # of another package, or not allowed to ask
+    except Exception as error:  # e.g. nfbench is not installed there, or the scheduler refuses to run functions
         scheduler = error
     for where, theirs in [
         ("the scheduler", scheduler),
         *((f"worker {name}", theirs) for name, theirs in found.items()),
     ]:
         if isinstance(theirs, ImportError):
-            raise NfbenchError(f"nfbench is not installed where {where} runs; it needs version {VERSION}, as here")
+            raise NfbenchError(f"nfbench is not installed where {where} runs; install version {VERSION} there")
         if isinstance(theirs, str) and theirs != VERSION:
             raise NfbenchError(_mismatch(where, theirs, VERSION))
 
 
 def _mismatch(where: str, theirs: str, ours: str) -> str:
-    return f"{where} has nfbench {theirs}, the study was started with {ours}; install the same version everywhere"
+    return f"{where} has nfbench {theirs}, but the study was started with {ours}; install the same version everywhere"
 
 
 @contextlib.contextmanager
-def _in_our_words(address: str) -> Iterator[None]:
-    """The loss of the scheduler, in whichever way dask tells it."""
+def _dask_errors_translated(address: str) -> Iterator[None]:
+    """Turn every error by which dask reports the loss of the scheduler into an NfbenchError."""
     try:
         yield
     except (OSError, RuntimeError, CancelledError) as error:
-        raise _lost(address, explain(error)) from error
+        raise _lost_scheduler(address, explain(error)) from error
 
 
-def _lost(address: str, why: str) -> NfbenchError:
+def _lost_scheduler(address: str, reason: str) -> NfbenchError:
     return NfbenchError(
-        f"lost the dask scheduler at {address}: {why}; finished rows are kept, and the same command goes on from there"
+        f"lost the dask scheduler at {address}: {reason}; finished rows are kept, run the same command to resume"
     )

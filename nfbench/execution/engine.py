@@ -1,4 +1,4 @@
-"""The engine: takes RunSpecs, yields RunRecords, and knows alone where runs happen."""
+"""The engine: takes RunSpecs and yields RunRecords. No other part of nfbench knows where runs are executed."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ __all__ = ["Batches", "RunAll", "ordered_runner", "run_specs"]
 Batches: TypeAlias = Generator[list[tuple[RunSpec, RunRecord]], None, None]
 RunAll: TypeAlias = Callable[[Sequence[RunSpec]], list[RunRecord]]
 
-AHEAD = 16  # runs queued for each worker, so that none waits for the parent
-PATIENCE = 0.05  # seconds in which finished runs are gathered into one batch
+AHEAD = 16  # runs queued per worker, so that no worker waits for the parent process
+PATIENCE = 0.05  # seconds to wait for a finished run
 
 
 def run_specs(
@@ -33,20 +33,22 @@ def run_specs(
     jobs: int = 0,
     stop: Callable[[], bool] = lambda: False,
 ) -> Batches:
-    """Run specs and yield finished ones in batches, in any order, each with its record.
+    """Run specs and yield batches of (spec, record) pairs as the runs finish, in any order.
 
-    jobs: worker processes; each run happens in one of them, where a crash, a timeout or a want of memory costs just
-    that run. 0 runs in this process, one after another, without that protection. Once ``stop()`` is true, runs that
-    have started are finished and no other is.
+    specs: the runs to execute.
+    plugins: plugin files that the runs need.
+    jobs: number of worker processes. Each run is executed in one of them, so that a crash, a timeout or running out
+    of memory costs only that run. 0 executes all runs in this process, one after another, without that protection.
+    stop: once it returns True, runs that have started are finished and no other run is started.
     """
     if jobs == 0:
-        return _here(specs, tuple(plugins), stop)
+        return _in_this_process(specs, tuple(plugins), stop)
     return _in_processes(specs, tuple(plugins), jobs, stop)
 
 
 @contextlib.contextmanager
 def ordered_runner(plugins: Iterable[str | Path], jobs: int) -> Iterator[RunAll]:
-    """A function that runs specs and returns their records in the same order, with ``jobs`` as in ``run_specs``."""
+    """Yield a function that runs specs and returns their records in order; ``jobs`` is as in ``run_specs``."""
     if jobs == 0:
         registry = Registry(plugins)
         with threadpool_limits(1):
@@ -56,9 +58,9 @@ def ordered_runner(plugins: Iterable[str | Path], jobs: int) -> Iterator[RunAll]
         yield lambda specs: [future.result() for future in [workers.submit(spec) for spec in specs]]
 
 
-def _here(specs: Iterable[RunSpec], plugins: tuple[str | Path, ...], stop: Callable[[], bool]) -> Batches:
+def _in_this_process(specs: Iterable[RunSpec], plugins: tuple[str | Path, ...], stop: Callable[[], bool]) -> Batches:
     registry = Registry(plugins)
-    with threadpool_limits(1):  # one BLAS thread: the same sums, bit for bit, as in a worker
+    with threadpool_limits(1):  # one BLAS thread, so that sums are bit-for-bit the same as in a worker
         for spec in itertools.takewhile(lambda _: not stop(), specs):
             yield [(spec, execute(spec, registry))]
 
@@ -76,7 +78,7 @@ def _in_processes(
                 waiting[future] = spec
                 future.add_done_callback(done.put)
             if stop():
-                for future in [future for future in waiting if future.cancel()]:  # those that run cannot be
+                for future in [future for future in waiting if future.cancel()]:  # running ones cannot be cancelled
                     del waiting[future]
             if not waiting:
                 return
@@ -86,7 +88,7 @@ def _in_processes(
 
 
 def _gathered(done: queue.SimpleQueue[Future[RunRecord]]) -> Iterator[Future[RunRecord]]:
-    """What is finished now, or within a moment."""
+    """The runs that are finished now or within PATIENCE seconds."""
     try:
         yield done.get(timeout=PATIENCE)
         while True:

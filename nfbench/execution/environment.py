@@ -1,4 +1,4 @@
-"""Where numbers came from: versions, machine and threads, written beside every study's results."""
+"""Describes where results were computed: versions, machine and threads. It is stored with every study's results."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ __all__ = ["THREAD_VARIABLES", "describe_environment"]
 
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 
-# everything that can change a number
+# every library that can change a result
 LIBRARIES = (
     "nfbench",
     "numpy",
@@ -81,7 +81,7 @@ def _cpu_model() -> str:
 
 
 def _git_state(folder: Path) -> dict[str, Any] | None:
-    """Commit and whether the tree differs from it, where nfbench runs from a checkout."""
+    """The commit, and whether the working tree differs from it; None unless nfbench runs from a git checkout."""
 
     def git(*arguments: str) -> str:
         command = ["git", "-C", str(folder), *arguments]

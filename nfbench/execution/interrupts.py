@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM: once to finish what is running and stop, twice to stop now."""
+"""Handles Ctrl-C and SIGTERM: the first stops after the current runs, the second stops at once."""
 
 from __future__ import annotations
 
@@ -12,16 +12,17 @@ __all__ = ["Interrupts"]
 
 
 class Interrupts:
-    """While entered, the first SIGINT or SIGTERM makes this true when called; the second raises KeyboardInterrupt.
+    """A context manager that catches SIGINT and SIGTERM; calling it returns whether one was received.
 
-    ``told`` is called at the first.
+    The first signal calls ``on_first``; the second raises KeyboardInterrupt. Only the main thread of a program can
+    catch signals; in other threads, the result is always False.
 
-    Only a program's main thread can catch signals; elsewhere this stays false.
+    on_first: function without arguments, called from the signal handler.
     """
 
-    def __init__(self, told: Callable[[], None] = lambda: None) -> None:
+    def __init__(self, on_first: Callable[[], None] = lambda: None) -> None:
         self._requested = False
-        self._told = told
+        self._on_first = on_first
         self._before: dict[int, Any] = {}
 
     def __call__(self) -> bool:
@@ -40,4 +41,4 @@ class Interrupts:
         if self._requested:
             raise KeyboardInterrupt
         self._requested = True
-        self._told()
+        self._on_first()

@@ -1,4 +1,4 @@
-"""The log of a study: what happened when, in a file in its folder."""
+"""The log of a study: a file in its results folder that records events with their times."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ __all__ = ["logging_to"]
 
 @contextlib.contextmanager
 def logging_to(path: Path) -> Iterator[logging.Logger]:
-    """A logger that appends to ``path`` and says nothing elsewhere."""
+    """Yield a logger that appends to ``path`` and writes nowhere else."""
     logger = logging.getLogger(f"nfbench.study.{path}")
     logger.setLevel(logging.INFO)
     logger.propagate = False

@@ -1,7 +1,7 @@
-"""Worker processes, one run at a time in each, that can die at any moment and cost only that run.
+"""A pool of worker processes that execute one run at a time. A process that dies costs only the run that it executes.
 
-Each worker has a pipe of its own, so that one killed while it writes leaves nothing behind that others need: neither a
-lock nor half a message in a queue.
+Each worker has its own pipe. A worker that is killed while it writes therefore leaves behind neither a held lock nor
+half a message in a queue that other workers share.
 """
 
 from __future__ import annotations
@@ -25,18 +25,18 @@ from typing import Self
 from nfbench.core import NfbenchError, Status
 from nfbench.study import RunRecord, RunSpec
 
-from . import worker
+from .worker import last_output, serve
 
 __all__ = ["ProcessPool"]
 
-MAX_FAILED_STARTS = 3  # in a row: then no worker can start here
-GROWTH_MB = 1024.0  # of a worker's memory, after which another takes its place
-CLOSING_S = 5.0  # for workers to end by themselves
+MAX_FAILED_STARTS = 3  # consecutive failures after which the pool gives up
+GROWTH_MB = 1024.0  # growth of a worker's memory [MiB] after which it is replaced
+CLOSING_S = 5.0  # time for workers to end by themselves
 
 
 @dataclass(eq=False)
 class _Worker:
-    """A process, our end of its pipe, and the run it has."""
+    """A worker process, our end of its pipe, and the run that it executes."""
 
     process: BaseProcess
     pipe: Connection
@@ -47,9 +47,13 @@ class _Worker:
 
 
 class ProcessPool:
-    """``jobs`` worker processes; a run is killed at its timeout, and a worker that dies is replaced.
+    """A pool of worker processes. A run is killed at its timeout, and a worker that dies is replaced.
 
-    A context manager: on an exception the workers are killed, otherwise they first finish what was submitted.
+    Use the pool as a context manager: on an exception the workers are killed, otherwise they first finish all
+    submitted runs.
+
+    plugins: plugin files that the runs need.
+    jobs: maximum number of worker processes.
     """
 
     def __init__(self, plugins: Iterable[str | Path], jobs: int) -> None:
@@ -77,9 +81,9 @@ class ProcessPool:
         self._folder.cleanup()
 
     def submit(self, spec: RunSpec) -> Future[RunRecord]:
-        """Queue a run. Its future comes to a record, or to an NfbenchError where no worker can start.
+        """Queue a run and return a future of its record. The future fails with NfbenchError if no worker can start.
 
-        It can be cancelled until the run starts.
+        The future can be cancelled until the run starts.
         """
         future: Future[RunRecord] = Future()
         self._queue.append((spec, future))
@@ -98,7 +102,7 @@ class ProcessPool:
             while not self._killing:
                 self._start_workers()
                 self._assign()
-                busy = [each for each in self._workers if each.spec]
+                busy = [worker for worker in self._workers if worker.spec]
                 if self._closing and not busy and not self._queue:
                     break
                 self._listen()
@@ -109,11 +113,11 @@ class ProcessPool:
             self._give_up()
 
     def _give_up(self) -> None:
-        """Every run that is still queued or in a worker ends in the engine's error; without one, it is cancelled."""
-        for each in self._workers:
-            if each.future and self._error is not None:
-                each.future.set_exception(self._error)
-            each.spec = each.future = None
+        """Fail all queued and running runs with the engine's error; without an error, cancel the queued ones."""
+        for worker in self._workers:
+            if worker.future and self._error is not None:
+                worker.future.set_exception(self._error)
+            worker.spec = worker.future = None
         while self._queue:
             _, future = self._queue.popleft()
             if self._error is None:
@@ -122,93 +126,94 @@ class ProcessPool:
                 future.set_exception(self._error)
 
     def _start_workers(self) -> None:
-        """As many as there is work for. Where none can start, that is an error of the place, not of the runs."""
+        """Start as many workers as there is work for. If none can start, the machine is at fault, not the runs."""
         if self._failed_starts >= MAX_FAILED_STARTS:
             raise NfbenchError(
                 f"worker processes cannot start: {self._last_output}. A script that calls nfbench.run must do so below "
-                f'`if __name__ == "__main__":`, as workers import it first'
+                f'`if __name__ == "__main__":`, because workers import the script'
             )
-        idle = sum(each.spec is None for each in self._workers)
+        idle = sum(worker.spec is None for worker in self._workers)
         for _ in range(min(self._jobs - len(self._workers), len(self._queue) - idle)):
             ours, theirs = self._spawn.Pipe()
             arguments = (theirs, self._plugins, self._folder.name, GROWTH_MB)
-            process = self._spawn.Process(target=worker.serve, args=arguments, daemon=True)
+            process = self._spawn.Process(target=serve, args=arguments, daemon=True)
             process.start()
             theirs.close()
             self._workers.append(_Worker(process, ours))
 
     def _assign(self) -> None:
-        for each in self._workers:
-            if not each.ready or each.spec:
+        for worker in self._workers:
+            if not worker.ready or worker.spec:
                 continue
             while self._queue:
                 spec, future = self._queue.popleft()
                 if future.set_running_or_notify_cancel():
-                    each.spec, each.future = spec, future
-                    each.deadline = time.monotonic() + (spec.method.run_timeout_s or math.inf)
-                    with contextlib.suppress(OSError):  # dead since we last listened; its pipe will say so
-                        each.pipe.send(spec)
+                    worker.spec, worker.future = spec, future
+                    worker.deadline = time.monotonic() + (spec.method.run_timeout_s or math.inf)
+                    with contextlib.suppress(OSError):  # it has died; reading its pipe will show that
+                        worker.pipe.send(spec)
                     break
 
     def _listen(self) -> None:
-        """Wait until a worker says something or dies, a deadline passes, or there is something new to do."""
-        pipes: dict[object, _Worker] = {each.pipe: each for each in self._workers}
-        left = min((each.deadline for each in self._workers), default=math.inf) - time.monotonic()
-        heard = wait([*pipes, self._woken], None if math.isinf(left) else max(left, 0.0))  # type: ignore[list-item]
-        if self._woken in heard:
+        """Wait for a message or the death of a worker, a deadline, or a new run; then handle it."""
+        pipes: dict[object, _Worker] = {worker.pipe: worker for worker in self._workers}
+        remaining = min((worker.deadline for worker in self._workers), default=math.inf) - time.monotonic()
+        timeout = None if math.isinf(remaining) else max(remaining, 0.0)
+        readable = wait([*pipes, self._woken], timeout)  # type: ignore[list-item]
+        if self._woken in readable:
             while self._woken.poll():
                 self._woken.recv_bytes()
-        for pipe, each in pipes.items():
-            if pipe in heard:
-                self._hear(each)
-            elif time.monotonic() >= each.deadline:
-                limit = each.spec.method.run_timeout_s if each.spec else None
+        for pipe, worker in pipes.items():
+            if pipe in readable:
+                self._receive(worker)
+            elif time.monotonic() >= worker.deadline:
+                limit = worker.spec.method.run_timeout_s if worker.spec else None
                 text = f"stopped after run_timeout_s = {limit:g} s"
-                self._fail_worker(each, Status.TIMEOUT, text, limit or math.nan)
+                self._fail_worker(worker, Status.TIMEOUT, text, limit or math.nan)
 
-    def _hear(self, each: _Worker) -> None:
+    def _receive(self, worker: _Worker) -> None:
         try:
-            said = each.pipe.recv()
-        except Exception:  # the end of the pipe, or of a message that will not be completed
-            each.process.join(CLOSING_S)
-            words = worker.last_output(self._folder.name, each.process.pid)
-            cause = f"its process died: {_cause(each.process.exitcode)}{f': {words}' if words else ''}"
-            self._fail_worker(each, Status.CRASHED, cause)
+            message = worker.pipe.recv()
+        except Exception:  # the pipe was closed, or only part of a message was sent
+            worker.process.join(CLOSING_S)
+            output = last_output(self._folder.name, worker.process.pid)
+            cause = f"its process died: {_cause(worker.process.exitcode)}{f': {output}' if output else ''}"
+            self._fail_worker(worker, Status.CRASHED, cause)
             return
-        if not each.ready:
-            each.ready, self._failed_starts = True, 0
-        elif each.future:
-            record, retires = said
-            future, each.spec, each.future, each.deadline = each.future, None, None, math.inf
+        if not worker.ready:
+            worker.ready, self._failed_starts = True, 0
+        elif worker.future:
+            record, retires = message
+            future, worker.spec, worker.future, worker.deadline = worker.future, None, None, math.inf
             if retires:
-                self._remove(each)
+                self._remove(worker)
             future.set_result(record)
 
-    def _fail_worker(self, each: _Worker, status: Status, message: str, runtime_s: float = math.nan) -> None:
+    def _fail_worker(self, worker: _Worker, status: Status, message: str, runtime_s: float = math.nan) -> None:
         """Remove a worker that is dead or must be killed; its run, if it has one, ends with this status."""
-        self._remove(each)
-        if not each.ready:
+        self._remove(worker)
+        if not worker.ready:
             self._failed_starts += 1
             self._last_output = message
-        if each.future and each.spec:
-            each.future.set_result(RunRecord(each.spec.run_id, status, message, runtime_s=runtime_s))
+        if worker.future and worker.spec:
+            worker.future.set_result(RunRecord(worker.spec.run_id, status, message, runtime_s=runtime_s))
 
-    def _remove(self, each: _Worker) -> None:
-        each.process.kill()
-        each.process.join()
-        each.pipe.close()
-        self._workers.remove(each)
+    def _remove(self, worker: _Worker) -> None:
+        worker.process.kill()
+        worker.process.join()
+        worker.pipe.close()
+        self._workers.remove(worker)
 
     def _end_workers(self) -> None:
-        for each in self._workers:
+        for worker in self._workers:
             if self._killing:
-                each.process.kill()
-            each.pipe.close()  # a worker that waits for its next run ends when there is none to come
+                worker.process.kill()
+            worker.pipe.close()  # an idle worker ends when its pipe is closed
         deadline = time.monotonic() + CLOSING_S
-        for each in self._workers:
-            each.process.join(max(deadline - time.monotonic(), 0.0))
-            each.process.kill()
-            each.process.join()
+        for worker in self._workers:
+            worker.process.join(max(deadline - time.monotonic(), 0.0))
+            worker.process.kill()
+            worker.process.join()
 
 
 def _cause(exitcode: int | None) -> str:

@@ -1,4 +1,4 @@
-"""Runs one spec: plain data in, one record out, whatever happens."""
+"""Executes one run: takes a spec of plain data and returns one record, whatever happens."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ __all__ = ["execute"]
 
 
 def execute(spec: RunSpec, registry: Registry) -> RunRecord:
-    """Draw the instance, solve it, score it. Never raises, but for KeyboardInterrupt."""
+    """Draw the instance, solve it, and score the estimate. Raises nothing but KeyboardInterrupt."""
     attempt = _Attempt(spec, registry)
     try:
         status, message = attempt.run()
@@ -46,7 +46,7 @@ def execute(spec: RunSpec, registry: Registry) -> RunRecord:
 
 
 class _Ended(Exception):
-    """The run ends here, in a status other than ok."""
+    """Ends the run with a status other than ok."""
 
     def __init__(self, status: Status, message: str) -> None:
         super().__init__(message)
@@ -54,7 +54,7 @@ class _Ended(Exception):
 
 
 class _Attempt:
-    """One run in progress: keeps what it has come to, so that a run that fails half-way still tells."""
+    """One run in progress. It keeps intermediate results, so that they are stored even if the run fails later."""
 
     def __init__(self, spec: RunSpec, registry: Registry) -> None:
         self.spec = spec
@@ -76,7 +76,7 @@ class _Attempt:
 
         def minimize_next(problem: Problem) -> Minimum:
             if solver is None or budget is None:
-                raise NfbenchError(f"{method.formulation.kind} says it needs no solver, yet asked for one")
+                raise NfbenchError(f"{method.formulation.kind} declares `needs_solver = False` but called `minimize`")
             rng = np.random.default_rng([self.spec.solver_seed, len(self.minima)])
             self.minima.append(minimize(problem, solver, budget, rng))
             if self.minima[-1].status is not Status.OK:
@@ -94,12 +94,12 @@ class _Attempt:
         except ValueError as error:
             raise _Ended(Status.INVALID, f"estimate: {error}") from error
         if estimate.size and math.isnan(self.scores.get(scenario.error, math.nan)):
-            raise _Ended(Status.INVALID, f"{scenario.error} of the estimate is not a number")
+            raise _Ended(Status.INVALID, f"{scenario.error} of the estimate is NaN")
         return Status.OK, "; ".join(minimum.message for minimum in self.minima if minimum.message)
 
 
 def _available(spec: PluginSpec) -> tuple[str, dict[str, Any]]:
-    """The name and options of a plugin; the run ends here if it cannot be imported."""
+    """The name and options of a plugin. Ends the run if the plugin cannot be imported."""
     if spec.broken:
         raise _Ended(Status.FAILED, spec.broken)
     return spec.kind, spec.options

@@ -1,4 +1,4 @@
-"""Runs a study into a folder."""
+"""Runs a study and writes its results folder."""
 
 from __future__ import annotations
 
@@ -26,16 +26,16 @@ __all__ = ["Listener", "run"]
 
 
 class Listener(Protocol):
-    """Told of a study's progress while it runs."""
+    """Receives the progress of a study while it runs."""
 
     def begin(self, total: int, done: int) -> None:
-        """``done`` of ``total`` runs were finished before."""
+        """Called before the first run; ``done`` of ``total`` runs are already finished."""
 
     def finished(self, spec: RunSpec, record: RunRecord) -> None:
-        """One more run is finished and stored."""
+        """Called after each run that is finished and stored."""
 
     def stopping(self) -> None:
-        """Ctrl-C was met: runs in flight are finished, then the study stops. Called from a signal handler."""
+        """Called from a signal handler at the first Ctrl-C: current runs are finished, then the study stops."""
 
 
 def run(
@@ -49,17 +49,20 @@ def run(
     retry: Iterable[str] = (),
     listener: Listener | None = None,
 ) -> Results:
-    """Run a study into ``out`` (default ``results/<name>``) and return its results; a second call resumes.
+    """Run a study and return its results; a second call resumes.
 
-    jobs: worker processes (default: one a core; 0: in this process, without isolation). cluster: the address of a
-    dask.distributed scheduler, or ``local:N`` to start one here with N workers, instead of jobs. shard: (k, n) makes
-    only the k-th of n deterministic parts, to be joined by ``merge``. fresh: move an old folder aside first. retry:
-    statuses whose runs are made again, e.g. ``["failed"]``.
+    out: results folder; None: ``results/<name>``.
+    jobs: number of worker processes; None: one per core; 0: run in this process, without isolation.
+    cluster: address of a dask.distributed scheduler, or ``local:N`` to start one with N workers; None: use ``jobs``.
+    shard: (k, n) runs only the k-th of n deterministic parts, to be joined by ``merge``; None: all runs.
+    fresh: whether to move an existing folder aside first.
+    retry: statuses whose runs are repeated, e.g. ``["failed"]``.
+    listener: receives the progress.
 
-    Raises StoreError where the folder cannot be used, has another writer or belongs to another study; KeyboardInterrupt
-    after SIGINT or SIGTERM, with the runs in flight finished and a folder that resumes.
+    Raises StoreError if the folder cannot be used or belongs to another study, and KeyboardInterrupt after SIGINT or
+    SIGTERM: after the first signal once the current runs are finished. The study can then be resumed.
     """
-    if getattr(multiprocessing.current_process(), "_inheriting", False):  # a worker that imports the caller's script
+    if getattr(multiprocessing.current_process(), "_inheriting", False):  # in a worker that imports the caller's script
         raise NfbenchError('a script that calls nfbench.run must do so below `if __name__ == "__main__":`')
     folder = Path("results") / study.name if out is None else Path(out)
     jobs = os.cpu_count() or 1 if jobs is None else jobs
@@ -74,14 +77,14 @@ def run(
             log.warning("%s is on a network file system (%s): writing without WAL, which is slower", folder, kind)
         todo = store.open_ordinals()
         total = sum(store.counts().values())
-        log.info("%d of %d runs to do, %s", len(todo), total, cluster or f"{jobs} jobs")
+        log.info("%d of %d runs to do, on %s", len(todo), total, cluster or f"{jobs} worker processes")
         started = datetime.now(UTC)
         if todo and not cluster:
             warm_up(study)
         if listener:
             listener.begin(total, total - len(todo))
         try:
-            _make_runs(_batches(study, todo, jobs, cluster, stop), store, log, listener)
+            _store_batches(_batches(study, todo, jobs, cluster, stop), store, log, listener)
         finally:
             if todo or is_new or not store.tabled() or not results.has_tables():
                 _write_environment(folder, describe_environment(study.plugins), cluster or jobs, started)
@@ -93,8 +96,8 @@ def run(
     return results
 
 
-def _make_runs(batches: Batches, store: Store, log: Logger, listener: Listener | None) -> None:
-    """Store every finished batch, and report its runs."""
+def _store_batches(batches: Batches, store: Store, log: Logger, listener: Listener | None) -> None:
+    """Store every finished batch, then report its runs to the log and the listener."""
     try:
         for batch in batches:
             store.add(record for _, record in batch)
@@ -117,10 +120,10 @@ def _batches(study: Study, todo: list[int], jobs: int, cluster: str | None, stop
 
 
 def _write_environment(folder: Path, environment: dict[str, Any], jobs: int | str, started: datetime) -> None:
-    """``environment.json``: this session, and those before it under ``earlier``."""
+    """Write ``environment.json``: this session, with the previous ones under ``earlier``."""
     path = folder / "environment.json"
     earlier = []
-    with contextlib.suppress(OSError, ValueError):  # none, or spoilt by hand: this session is still written
+    with contextlib.suppress(OSError, ValueError):  # missing or not valid: this session is written anyway
         before = json.loads(path.read_text(encoding="utf-8"))
         earlier = [*before.pop("earlier", []), before]
     times = {"started": started.isoformat(), "ended": datetime.now(UTC).isoformat()}

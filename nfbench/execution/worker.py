@@ -1,4 +1,4 @@
-"""What happens in a worker process: one run after another, each behind a wall."""
+"""The code of a worker process, which executes one run after another, isolated from the parent process."""
 
 from __future__ import annotations
 
@@ -24,14 +24,15 @@ __all__ = ["last_output", "serve"]
 
 _registry: Registry | None = None
 
-TAIL = 400  # characters of a dead worker's output that are kept
+TAIL = 400  # characters kept of a dead worker's output
 
 
 def serve(pipe: Connection, plugins: tuple[str | Path, ...], folder: str, growth_mb: float) -> None:
-    """A worker's life: say that it is ready, then take a spec and give back its record until there are none.
+    """Report that the worker is ready, then receive specs and send back their records until the pipe is closed.
 
-    With each record goes whether it was the last: a worker that has grown by ``growth_mb`` since its first run retires,
-    so that a library which never frees its memory does not fill the machine in a long study.
+    Each record comes with a flag that says whether the worker must be replaced: its memory has grown by more than
+    ``growth_mb`` [MiB] since its first run. Otherwise, a library that never frees its memory would fill the machine
+    in a long study.
     """
     start(plugins, folder)
     pipe.send(None)
@@ -47,25 +48,25 @@ def serve(pipe: Connection, plugins: tuple[str | Path, ...], folder: str, growth
 
 
 def start(plugins: tuple[str | Path, ...], folder: str) -> None:
-    """Once a process: leave Ctrl-C to the parent, send output to a file in ``folder``, pin threads, import plugins."""
+    """Set up the process: ignore Ctrl-C, send output to a file in ``folder``, use one thread, import plugins."""
     global _registry
     _die_with_parent()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, signal.SIG_DFL)  # the default dies at once, also in native code
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)  # the default ends the process at once, even in native code
     output = os.open(_output(folder, os.getpid()), os.O_CREAT | os.O_RDWR | os.O_APPEND | os.O_TRUNC, 0o600)
     for stream in (1, 2):
         os.dup2(output, stream)
     sys.stdout = os.fdopen(1, "w", buffering=1, encoding="utf-8", errors="replace", closefd=False)
     sys.stderr = os.fdopen(2, "w", buffering=1, encoding="utf-8", errors="replace", closefd=False)
     faulthandler.enable(2)
-    for name in THREAD_VARIABLES:  # for libraries loaded from here on; those that are loaded already, below
+    for name in THREAD_VARIABLES:  # for libraries loaded from now on; threadpool_limits covers the loaded ones
         os.environ[name] = "1"
     _registry = Registry(plugins)
-    threadpool_limits(1)  # one BLAS thread: the same sums, bit for bit, on any number of workers
+    threadpool_limits(1)  # one BLAS thread, so that sums are bit-for-bit the same on any number of workers
 
 
 def work(spec: RunSpec) -> RunRecord:
-    """Execute one run; its output starts an empty file, so that the file never holds more than one run's."""
+    """Execute one run. The output file is emptied first, so that it holds the output of one run only."""
     assert _registry is not None
     os.ftruncate(1, 0)
     with _memory_limit(spec.method.run_memory_mb):
@@ -73,7 +74,7 @@ def work(spec: RunSpec) -> RunRecord:
 
 
 def last_output(folder: str, pid: int | None) -> str:
-    """The end of what a dead worker printed, in one line; its file is removed."""
+    """The last output of a dead worker, or the start of Python's fatal error, in one line. Removes its file."""
     path = _output(folder, pid or 0)
     try:
         text = path.read_bytes()[-20_000:].decode("utf-8", errors="replace")
@@ -81,18 +82,18 @@ def last_output(folder: str, pid: int | None) -> str:
         return ""
     path.unlink(missing_ok=True)
     lines = [line.strip() for line in text.splitlines()]
-    told = [line for line in lines if line and not line.startswith(("Extension modules:", "Current thread", "Thread"))]
-    return " | ".join(told)[-TAIL:] if "Fatal Python error" not in text else " | ".join(told)[:TAIL]
+    shown = [line for line in lines if line and not line.startswith(("Extension modules:", "Current thread", "Thread"))]
+    return " | ".join(shown)[-TAIL:] if "Fatal Python error" not in text else " | ".join(shown)[:TAIL]
 
 
 def _die_with_parent() -> None:
-    """On Linux, have the kernel kill this process when the one that started it is gone, however it went."""
+    """On Linux, have the kernel kill this process when its parent process ends for any reason."""
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG
 
 
 def _resident_mb() -> float:
-    """The memory of this process that is in RAM; 0 where /proc does not tell."""
+    """Resident memory of this process [MiB]; 0 if /proc is not available."""
     try:
         pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
     except OSError:
@@ -106,7 +107,7 @@ def _output(folder: str, pid: int) -> Path:
 
 @contextlib.contextmanager
 def _memory_limit(megabytes: int | None) -> Iterator[None]:
-    """Within this context the process may take that much more address space; beyond it allocations fail."""
+    """Limit the address space that the process may add in this context [MiB]; further allocations fail."""
     if megabytes is None:
         yield
         return

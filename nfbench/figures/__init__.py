@@ -1,6 +1,6 @@
-"""Figures of a study: error against what was swept, run time against error, positions, convergence.
+"""Figures of a study: error against the swept values, run time against error, positions, convergence.
 
-Everything here brings in matplotlib, so it is imported only where figures are drawn.
+This package imports matplotlib, so it is itself imported only where figures are drawn.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from .style import styled
 
 __all__ = ["FORMATS", "Drawing", "figures", "styled", "write_figures"]
 
-FORMATS: dict[str, dict[str, Any]] = {  # metadata that would differ from one day or version to the next, left out
+FORMATS: dict[str, dict[str, Any]] = {  # metadata; None drops what changes with the date or version
     "svg": {"Date": None, "Creator": "nfbench"},
     "pdf": {"CreationDate": None, "Creator": "nfbench"},
     "png": {"Software": None},
@@ -39,10 +39,13 @@ FORMATS: dict[str, dict[str, Any]] = {  # metadata that would differ from one da
 class Drawing:
     """How figures are drawn.
 
-    width: "single" or "double", of an IEEE column or page. metric: the error to show (default: RMSE and median).
-    title: whether the study's title stands above. positions: whether true and estimated positions are drawn (default:
-    if the study is small). traces: whether convergence is. manifest: where the scenario is read from to draw
-    positions (default: the copy in the study's folder). plugins: files it needs.
+    width: "single" for the width of an IEEE column (3.5 in), "double" for that of a page (7.16 in).
+    metric: the error measure to show; None: RMSE, median, and the outlier rate if there are outliers.
+    title: whether to print the study's title above each figure.
+    positions: whether to draw true and estimated positions; None: only if the study is small.
+    traces: whether to draw convergence.
+    manifest: manifest from which the scenario is read to draw positions; None: the copy in the study's folder.
+    plugins: plugin files that the scenario needs.
     """
 
     width: Literal["single", "double"] = "single"
@@ -55,24 +58,29 @@ class Drawing:
 
 
 def figures(
-    results: Results, how: Drawing | None = None, tell: Callable[[str], object] = lambda _: None
+    results: Results, how: Drawing | None = None, warn: Callable[[str], object] = lambda _: None
 ) -> Iterator[tuple[str, Figure]]:
-    """(file stem, figure) of every figure of a study. ``tell`` hears in a sentence what they leave out.
+    """Yield (file stem, figure) of every figure of a study. Draw and save the figures within ``styled``.
 
-    Raises StoreError without a study, NfbenchError where no run has an estimate yet, or where positions were asked
-    for and cannot be drawn. Draw and save within ``styled``.
+    results: the results to draw.
+    how: how they are drawn; None: with the defaults.
+    warn: function that receives a sentence about anything that the figures leave out.
+
+    Raises StoreError if there is no study, and NfbenchError if no run has an estimate yet, or if requested positions
+    or traces cannot be drawn.
     """
     how = how or Drawing()
     study = drawn(results, how.title)
     left = results.counts.get("open", 0)
     if left:
-        tell(f"unfinished: {left} of {left + len(study.runs)} runs are still to do; the figures show the others")
+        done = len(study.runs)
+        warn(f"the study is unfinished; the figures show {done} of {left + done} runs")
     yield from error_figures(study, how.width, how.metric)
     yield "runtime", runtime_figure(study, how.width, how.metric)
     if how.traces:
         convergence = convergence_figure(study, results, how.width)
         if convergence is None:
-            raise NfbenchError(f"{results.folder}: no convergence to draw: no run has a trace")
+            raise NfbenchError(f"{results.folder}: convergence cannot be drawn: no run has a trace")
         yield "convergence", convergence
     if how.positions or (how.positions is None and few_enough(study)):
         manifest = how.manifest or results.folder / "manifest.toml"
@@ -81,10 +89,10 @@ def figures(
         except NfbenchError as error:
             if how.positions:
                 raise
-            tell(f"positions are not drawn: {error}")
+            warn(f"positions are not drawn: {error}")
             return
         if how.positions and not placed:
-            raise NfbenchError(f"{results.folder}: no positions to draw: the scenario's instances have none")
+            raise NfbenchError(f"{results.folder}: positions cannot be drawn: the scenario's instances have none")
         yield from placed
 
 
@@ -93,15 +101,19 @@ def write_figures(
     out: Path,
     formats: Iterable[str] = ("svg", "pdf"),
     how: Drawing | None = None,
-    tell: Callable[[str], object] = lambda _: None,
+    warn: Callable[[str], object] = lambda _: None,
 ) -> list[Path]:
-    """Write every figure to ``out`` in each of these formats and return the paths; equal results give equal bytes.
+    """Write every figure to a folder in each format, and return the paths. Equal results give equal bytes.
 
-    Raises what ``figures`` does, and NfbenchError where a file cannot be written.
+    results, how, warn: as in ``figures``.
+    out: folder for the figures.
+    formats: keys of FORMATS.
+
+    Raises the errors of ``figures``, and NfbenchError if a file cannot be written.
     """
     paths = []
     with styled():
-        for stem, figure in figures(results, how, tell):
+        for stem, figure in figures(results, how, warn):
             for kind in formats:
                 drawing = io.BytesIO()
                 figure.savefig(drawing, format=kind, metadata=FORMATS[kind])

@@ -1,4 +1,4 @@
-"""Axes and legends that stay legible: ticks with labels whatever the span, and a legend below the panels."""
+"""Legible axes and legends: labelled ticks for any range of values, and a legend below the panels."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ from .labels import Places, plain, text_of
 
 __all__ = ["error_axis", "legend_below", "new_figure", "swept_axis"]
 
-_PER_INCH = {"x": 2.2, "y": 3.5}  # labels that fit
-_CHARACTER, _LINE, _GAP = 0.07, 0.12, 0.03  # [in] of a label: a character's width, its height, the space between
-_LEAST = 1.6  # an axis spans at least this ratio, so that noise does not look like a difference
+_PER_INCH = {"x": 2.2, "y": 3.5}  # labels that fit in an inch
+_CHARACTER, _LINE, _GAP = 0.07, 0.12, 0.03  # width of a character, height and gap of labels [in]
+_LEAST = 1.6  # smallest ratio that an axis spans, so that noise does not look like a difference
 _MARGIN = 0.05
 
 
 def new_figure(width: float, height: float, title: str, compress: bool = False) -> Figure:
-    """An empty figure of that size [in], its title wrapped to the width; compress: for panels of a fixed aspect."""
+    """An empty figure of that size [in] with a wrapped title. Set ``compress`` for panels with a fixed aspect."""
     lines = textwrap.wrap(title.replace(" = ", "\u00a0=\u00a0"), width=max(int(width * 17), 20))
     figure = Figure(
         figsize=(width, height + 0.14 * len(lines)),
@@ -39,7 +39,7 @@ def new_figure(width: float, height: float, title: str, compress: bool = False) 
 
 
 def legend_below(figure: Figure, handles: Sequence[Artist], names: Sequence[str]) -> None:
-    """One legend for all panels, below them, in as many columns as fit; the figure grows by its height."""
+    """Add a legend below all panels, in as many columns as fit. The figure grows by the height of the legend."""
     texts = list(map(plain, names))
     for wanted in range(min(len(texts), 4), 0, -1):
         rows = math.ceil(len(texts) / wanted)
@@ -53,7 +53,7 @@ def legend_below(figure: Figure, handles: Sequence[Artist], names: Sequence[str]
 
 
 def error_axis(axes: Iterable[Axes], which: Literal["x", "y"], values: Iterable[float]) -> None:
-    """Make ``which`` of these axes logarithmic over the values; with zeros among them, linear near 0."""
+    """Make the x or y axis of these panels logarithmic over the values, and linear near 0 if there are zeros."""
     numbers = np.array([value for value in values if math.isfinite(value)], dtype=np.float64)
     positive = numbers[numbers > 0]
     if not len(positive):
@@ -74,7 +74,7 @@ def error_axis(axes: Iterable[Axes], which: Literal["x", "y"], values: Iterable[
 
 
 def swept_axis(ax: Axes, at: Places) -> None:
-    """The x axis of a numeric key: its values as ticks where there is room, and ∞ apart."""
+    """Set up the x axis of a numeric key: ticks at its values if there is room, and ∞ set apart."""
     finite = sorted(place for value, place in at.of.items() if math.isfinite(value))
     every = sorted(at.of.values())
     ends = np.log(every) if at.log else np.array(every)
@@ -86,7 +86,7 @@ def swept_axis(ax: Axes, at: Places) -> None:
     ax.set_xlim(low, high)
     width = np.diff(ends).min() / (ends[-1] - ends[0])
     extra = [] if at.beyond is None else [at.beyond]
-    if width > 0.075:  # room for a label each
+    if width > 0.075:  # there is room for a label at each value
         _ticks(ax.xaxis, [*finite, *extra], [*map(text_of, finite), *["∞"] * len(extra)])
     elif at.log:
         _log_ticks(ax, "x", finite[0] * 0.99, finite[-1] * 1.01, extra, ["∞"] * len(extra))
@@ -107,14 +107,14 @@ def _ticks(axis: Axis, ticks: Iterable[float], texts: Iterable[str], minor: Iter
 def _log_ticks(
     ax: Axes, which: Literal["x", "y"], low: float, high: float, extra: Sequence[float], names: Sequence[str]
 ) -> None:
-    """As many labels as fit: decades where there are three, else finer steps within them; and the ``extra`` ones."""
+    """Set as many labels as fit, at decades if there are three, else at finer steps; and those at ``extra``."""
     figure = cast(Figure, ax.get_figure())
     rows, columns = ax.get_subplotspec().get_gridspec().get_geometry()  # type: ignore[union-attr]
     inches = 0.75 * figure.get_figwidth() / columns if which == "x" else 0.8 * figure.get_figheight() / rows
     most = max(int(inches * _PER_INCH[which]), 2)
 
     def fits(ticks: ndarray) -> bool:
-        """Whether labels that stand at these ticks leave a gap to their neighbours."""
+        """Whether there is a gap between neighbouring labels at these ticks."""
         places = inches * np.log(ticks / low) / math.log(high / low)
         sizes = np.array([_CHARACTER * _length(tick) if which == "x" else _LINE for tick in ticks])
         return _width(ticks) <= most and bool((np.diff(places) > (sizes[1:] + sizes[:-1]) / 2 + _GAP).all())
@@ -134,12 +134,12 @@ def _log_ticks(
 
 
 def _width(ticks: ndarray) -> float:
-    """In labels: those with a factor before a power of ten count twice."""
+    """Number of labels; those with a factor before a power of ten count twice."""
     return sum(2 if r"\times" in _decimal(tick) else 1 for tick in ticks)
 
 
 def _length(tick: float) -> int:
-    """Of a label, in characters; the mathematics of a power of ten are no characters."""
+    """Length of a label as it is printed [characters], without the markup of a power of ten."""
     text = _decimal(tick)
     return len(text) if "$" not in text else 8 if r"\times" in text else 4
 
@@ -150,7 +150,7 @@ def _within(ticks: Any, low: float, high: float) -> ndarray:
 
 
 def _decimal(value: float) -> str:
-    """0.01 and 500 as they are, beyond that powers of ten."""
+    """The label of a value: a decimal such as 0.01 or 500, or a power of ten outside 0.001 to 10⁴."""
     if 1e-3 <= value < 1e4:
         return f"{float(f'{value:.3g}'):g}"
     exponent = math.floor(math.log10(value) + 1e-9)

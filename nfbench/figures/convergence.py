@@ -1,4 +1,4 @@
-"""How the objective fell with evaluations: what a larger or smaller budget would have given."""
+"""Best objective against evaluations, which shows what a larger or smaller budget would have given."""
 
 from __future__ import annotations
 
@@ -20,15 +20,16 @@ from .style import WIDTHS
 
 __all__ = ["convergence_figure"]
 
-POINTS = 60  # of a curve
-MARKS = 10  # between two markers of a curve, staggered
+POINTS = 60  # points of a curve
+MARKS = 10  # points between two markers of a curve; the markers of different methods are staggered
 
 
 def convergence_figure(study: Drawn, results: Results, width: str) -> Figure | None:
-    """The best value of a run's first problem against evaluations, median and quartiles; None without any trace.
+    """Median and quartiles over runs of the best value of the first problem; None if no run has a trace.
 
-    A column of panels a formulation, whose objectives have no common scale, and a row for each of up to four points of
-    the sweep. With NEMO the first problem is the first source: later ones depend on what the solver found before.
+    There is one column of panels per formulation, because their objectives have no common scale, and one row for each
+    of up to four scenario points. With NEMO, the first problem is that of the first source; later problems depend on
+    what the solver found before.
     """
     parts = chosen(study.by(study.swept))
     shown = {run_id for part in parts for run_id in part.runs.loc[part.runs["status"] == Status.OK, "run_id"]}
@@ -41,11 +42,11 @@ def convergence_figure(study: Drawn, results: Results, width: str) -> Figure | N
     grid = figure.subplots(len(parts), len(formulations), squeeze=False, sharex="col")
     everything: dict[str, list[float]] = {name: [] for name in formulations}
     for column, formulation in enumerate(formulations):
-        here = runs[runs["formulation"] == formulation]
+        own_runs = runs[runs["formulation"] == formulation]
         for part, ax in zip(parts, grid[:, column], strict=True):
             ids, values = set(part.runs["run_id"]), list[float]()
             for number, name in enumerate(study.methods):
-                own = [traces[run] for run in here.loc[here["method"] == name, "run_id"] if run in ids]
+                own = [traces[run] for run in own_runs.loc[own_runs["method"] == name, "run_id"] if run in ids]
                 if not own:
                     continue
                 evaluations, quartiles = _quartiles(own)
@@ -69,7 +70,7 @@ def convergence_figure(study: Drawn, results: Results, width: str) -> Figure | N
 
 
 def _quartiles(traces: list[Trace]) -> tuple[Float[ndarray, " p"], Float[ndarray, "3 p"]]:
-    """Evaluations, and the quartiles over runs of the best value at each; a run keeps its last value to the end."""
+    """Evaluations, and quartiles over runs of the best value so far. A run keeps its last value to the end."""
     first = max(int(trace.evaluations[0]) for trace in traces)
     last = max(int(trace.evaluations[-1]) for trace in traces)
     grid = np.unique(np.geomspace(first, last, POINTS).round())

@@ -1,4 +1,4 @@
-"""What figures are made of: the study's summary, with intervals for all that they draw."""
+"""The data of figures: the study's summary, with intervals for all values that are drawn."""
 
 from __future__ import annotations
 
@@ -26,21 +26,32 @@ Wanted: TypeAlias = Literal["rmse", "median"]
 @final
 @dataclass(frozen=True)
 class Metric:
-    """One column of the summary on an axis; its interval is in ``<column>_low`` and ``_high``."""
+    """One column of the summary, as shown on an axis.
+
+    column: name of the column; its interval is in ``<column>_low`` and ``<column>_high``.
+    label: label of the axis.
+    bounded: whether the bound and the floor apply to it; they are root mean squares.
+    share: whether it is a share of sources, shown in percent.
+    """
 
     column: str
     label: str
-    bounded: bool = False  # whether the bound and the floor, which are root mean squares, say anything about it
+    bounded: bool = False
     share: bool = False
 
 
 @final
 @dataclass(frozen=True)
 class Drawn:
-    """A study as its figures see it.
+    """The data of a study, or of a part of it, that figures show.
 
-    table: the summary, with intervals of the median and of the mean run time. runs: all finished runs. where: what is
-    held fixed, as (column, value) pairs.
+    runs: all finished runs.
+    table: the summary, with intervals of the median and of the mean run time.
+    error: name of the error measure.
+    outlier_m: error beyond which a source counts as an outlier [m].
+    title: title of the study; empty to show none.
+    styles: style of each method.
+    where: the swept columns that are fixed in this part, as (column, value) pairs.
     """
 
     runs: pd.DataFrame
@@ -53,7 +64,7 @@ class Drawn:
 
     @cached_property
     def swept(self) -> list[str]:
-        """The swept columns that are not held fixed."""
+        """The swept columns that are not fixed."""
         fixed = [column for column, _ in self.where]
         return [column for column in default_groups(self.runs)[:-3] if column not in fixed]
 
@@ -63,27 +74,33 @@ class Drawn:
 
     @cached_property
     def along(self) -> tuple[str, Places | None] | None:
-        """The swept column on the x axis, the first numeric one if any is, and its places; None without a sweep."""
+        """The swept column for the x axis (the first numeric one, if any) and its places; None without a sweep."""
         found = [(column, places(key_of(column), self.table[column].tolist())) for column in self.swept]
         return next((pair for pair in found if pair[1]), found[0] if found else None)
 
     def by(self, columns: Sequence[str]) -> list[Drawn]:
-        """The parts in which these columns are constant, in the study's order; itself where there are none."""
+        """The parts in which these columns are constant, in the study's order; ``[self]`` without columns."""
         if not columns:
             return [self]
         settings = dict.fromkeys(zip(*(self.table[column].tolist() for column in columns), strict=True))
         return [self._at(tuple(zip(columns, setting, strict=True))) for setting in settings]
 
     def _at(self, where: tuple[tuple[str, Any], ...]) -> Drawn:
-        def here(frame: pd.DataFrame) -> pd.DataFrame:
+        def select(frame: pd.DataFrame) -> pd.DataFrame:
             return frame[np.logical_and.reduce([frame[column] == value for column, value in where])]
 
         return Drawn(
-            here(self.runs), here(self.table), self.error, self.outlier_m, self.title, self.styles, self.where + where
+            select(self.runs),
+            select(self.table),
+            self.error,
+            self.outlier_m,
+            self.title,
+            self.styles,
+            self.where + where,
         )
 
     def metrics(self, wanted: Wanted | None) -> list[Metric]:
-        """RMSE, median, and how many are far off where any is; or only the one wanted."""
+        """RMSE, median, and the outlier rate if there are outliers; or only the wanted measure."""
         metres = self.error == "rmse_m"
         rmse = Metric(self.error, "RMSE [m]" if metres else f"RMS {self.error}", bounded=metres)
         median = Metric(_median(self.error), "Median [m]" if metres else f"Median {self.error}")
@@ -93,7 +110,7 @@ class Drawn:
         return [rmse, median, *([far] if (self.table["outlier_rate"] > 0).any() else [])]
 
     def bound(self, column: str) -> pd.DataFrame:
-        """A bound at each point of the table, over its methods; without those where nobody knows it."""
+        """A bound at each scenario point, as the median over methods; points where it is unknown are left out."""
         if column not in self.table:
             return self.table.iloc[:0]
         known = self.table[self.table[column].notna()]
@@ -110,12 +127,12 @@ def key_of(column: str) -> str:
 
 
 def drawn(results: Results, title: bool = True) -> Drawn:
-    """What there is to draw. Raises StoreError without a study, NfbenchError where no run has an estimate yet."""
+    """The data to draw. Raises StoreError if there is no study, NfbenchError if no run has an estimate yet."""
     runs, meta = results.runs, results.meta
     ok = runs[runs["status"] == Status.OK]
     if ok.empty:
-        state = "is finished yet" if runs.empty else "ended with an estimate"
-        raise NfbenchError(f"{results.folder}: nothing to draw: no run {state}")
+        reason = "no run has finished yet" if runs.empty else "no run ended with an estimate"
+        raise NfbenchError(f"{results.folder}: nothing to draw: {reason}")
     error, by = meta["error"], default_groups(runs)
     table = results.summary()
     groups: dict[Any, pd.DataFrame] = dict(list(ok.groupby(by, sort=False)))

@@ -1,4 +1,4 @@
-"""Error against what was swept: lines over numbers, dots over categories, and dots alone where nothing was swept."""
+"""Error against the swept values: lines for numbers, dots for categories and for studies without a sweep."""
 
 from __future__ import annotations
 
@@ -23,17 +23,17 @@ from .style import WIDTHS
 
 __all__ = ["BOUNDS", "error_figures", "headed", "method_handles", "named", "slug"]
 
-PANELS = {"single": 3, "double": 4}  # values of a second key in one figure; with more, each has its own
-NAME = {"single": 26, "double": 50}  # characters in a line of a method's name
-BANDS = 5  # with more methods, intervals are bars: bands would hide each other
-BOUNDS: dict[str, tuple[str, dict[str, Any]]] = {  # columns of the summary beside the methods
+PANELS = {"single": 3, "double": 4}  # values of a second key in one figure; if there are more, each has its own figure
+NAME = {"single": 26, "double": 50}  # characters per line of a method's name
+BANDS = 5  # with more methods, intervals are bars, because bands would hide each other
+BOUNDS: dict[str, tuple[str, dict[str, Any]]] = {  # columns of the summary that are drawn in addition to the methods
     "crb_m": ("Cramér–Rao bound", {"color": "black", "linestyle": "--", "linewidth": 1.0}),
     "floor_m": ("Error floor", {"color": "black", "linestyle": ":", "linewidth": 1.2}),
 }
 
 
 def error_figures(study: Drawn, width: str, wanted: Wanted | None) -> Iterator[tuple[str, Figure]]:
-    """(file stem, figure) of the errors of a study; one figure, or one for each setting of its further keys."""
+    """Yield (file stem, figure) of a study's errors: one figure, or one for each setting of the further keys."""
     metrics = study.metrics(wanted)
     if study.along is None:
         yield "error", _dots([study], metrics, width)
@@ -47,27 +47,29 @@ def error_figures(study: Drawn, width: str, wanted: Wanted | None) -> Iterator[t
 
 
 def headed(ax: Axes, part: Drawn) -> None:
-    """Say above a panel what is held fixed in it."""
+    """Write above a panel which values are fixed in it."""
     if part.where:
         ax.set_title(named(part), loc="left")
 
 
 def named(part: Drawn) -> str:
-    """What is held fixed, in words."""
+    """The fixed values of a part, e.g. ``SNR = 20 dB``."""
     return ", ".join(setting(key_of(column), value) for column, value in part.where)
 
 
 def slug(part: Drawn) -> str:
-    """What is held fixed, as a part of a file's name."""
+    """The fixed values of a part, as part of a file name."""
     texts = [f"{key_of(column)}-{text_of(value)}".replace("∞", "inf").replace("−", "-") for column, value in part.where]
     return re.sub(r"[^A-Za-z0-9_.-]+", "-", "-".join(texts)).strip("-")
 
 
 def method_handles(study: Drawn, joined: bool) -> dict[str, Artist]:
-    """What the legend shows for each method."""
+    """The legend entry of each method."""
     done = set(study.table.loc[study.table[study.error].notna(), "method"])
     return {
-        name if name in done else f"{name} (no run ok)": Line2D([], [], **(style.joined if joined else style.points))
+        name if name in done else f"{name} (no successful run)": Line2D(
+            [], [], **(style.joined if joined else style.points)
+        )
         for name, style in study.styles.items()
     }
 
@@ -76,13 +78,15 @@ def method_handles(study: Drawn, joined: bool) -> dict[str, Artist]:
 
 
 def _lines(parts: list[Drawn], metrics: list[Metric], width: str, column: str, at: Places) -> Figure:
-    """A column of panels a part, a row a metric; a single part in a wide figure has its metrics side by side."""
-    beside = len(parts) == 1 and width == "double"
-    heights = [1.7] if beside else [0.8 if metric.share else 1.5 for metric in metrics]
+    """One column of panels per part, one row per metric. A single part in a wide figure has one row instead."""
+    one_row = len(parts) == 1 and width == "double"
+    heights = [1.7] if one_row else [0.8 if metric.share else 1.5 for metric in metrics]
     figure = new_figure(WIDTHS[width], sum(heights) + 0.35, parts[0].title)
-    shape = (1, len(metrics)) if beside else (len(metrics), len(parts))
-    grid = figure.subplots(*shape, squeeze=False, sharex=True, sharey=False if beside else "row", height_ratios=heights)
-    panels = grid if beside else grid.T  # (part, metric)
+    shape = (1, len(metrics)) if one_row else (len(metrics), len(parts))
+    grid = figure.subplots(
+        *shape, squeeze=False, sharex=True, sharey=False if one_row else "row", height_ratios=heights
+    )
+    panels = grid if one_row else grid.T  # (part, metric)
     for part, column_of_panels in zip(parts, panels, strict=True):
         headed(column_of_panels[0], part)
         for metric, ax in zip(metrics, column_of_panels, strict=True):
@@ -121,7 +125,7 @@ def _draw_lines(ax: Axes, part: Drawn, metric: Metric, column: str, at: Places) 
 
 
 def _apart(x: ndarray, y: ndarray, at: Places) -> tuple[ndarray, ndarray]:
-    """The points with a gap before ∞, which no line joins to the numbers."""
+    """The points with a gap before ∞, so that no line joins it to the numbers."""
     beyond = np.flatnonzero(x == at.beyond)
     return np.insert(x, beyond, math.nan), np.insert(y, beyond, math.nan)
 
@@ -130,7 +134,7 @@ def _apart(x: ndarray, y: ndarray, at: Places) -> tuple[ndarray, ndarray]:
 
 
 def _dots(parts: list[Drawn], metrics: list[Metric], width: str, column: str | None = None) -> Figure:
-    """A row of panels a part, a column a metric, the methods below each other, in each of the categories."""
+    """One row of panels per part, one column per metric, and in each category the methods below each other."""
     groups = [part.by([column] if column else []) for part in parts]
     rows = [_with_failures(row, width) for row in parts[0].table.to_dict("records")]
     step = 0.11 if column else 0.17 if not any("\n" in row for row in rows) else 0.24
@@ -156,7 +160,7 @@ def _dots(parts: list[Drawn], metrics: list[Metric], width: str, column: str | N
 def _draw_rows(
     axes: Sequence[Axes], groups: list[Drawn], metrics: list[Metric], column: str | None, width: str
 ) -> None:
-    """The rows of one panel, from the top; a group is a category, or all there is, and then the best comes first."""
+    """Draw the rows of a part from the top. A group is a category; without categories the best method comes first."""
     top, ticks, names = 0.0, [], []
     for number, group in enumerate(groups):
         table = group.table if column else group.table.sort_values(group.error, na_position="last")
@@ -194,7 +198,7 @@ def _draw_dots(ax: Axes, group: Drawn, metric: Metric, places: dict[str, float],
 
 
 def _with_failures(row: dict[Any, Any], width: str) -> str:
-    """A method's name, wrapped, and how often it failed."""
+    """A method's name, wrapped, with its number of failed runs."""
     failed = f" ({row['failed']} of {row['runs']} failed)" if row["failed"] else ""
     return plain("\n".join(textwrap.wrap(f"{row['method']}{failed}", NAME[width])))
 
@@ -207,7 +211,7 @@ def _numbers(rows: pd.DataFrame, metric: Metric, column: str) -> ndarray:
 
 
 def _scale(axes: Sequence[Axes], which: Literal["x", "y"], metric: Metric, parts: list[Drawn]) -> None:
-    """One scale for a metric's panels, wide enough for all that is drawn in any of them."""
+    """Set one scale for all panels of a metric, wide enough for everything that is drawn in them."""
     if metric.share:
         worst = 100 * max(part.table[metric.column].max() for part in parts)
         top = next((top for top in (4, 10, 20, 50) if top >= worst), 100)

@@ -1,4 +1,4 @@
-"""What axes say: a swept key's name and unit, its values as text, and where they stand on an axis."""
+"""Labels of axes: a swept key's name and unit, its values as text, and their places on an axis."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 
 __all__ = ["Places", "name_of", "places", "plain", "setting", "text_of"]
 
-_NAMES = {  # swept keys whose name says less than the symbol that goes with it
+_NAMES = {  # swept keys whose label needs more than the name, such as a symbol
     "snr_db": "SNR [dB]",
     "rician_k": "Rician factor κ",
     "sources": "Number of sources K",
@@ -28,7 +28,7 @@ _LINEAR_UNITS = ("[dB]", "[°]", "[rad]")
 
 
 def plain(text: str) -> str:
-    """Text that matplotlib is to take as it stands: no mathematics between dollars, no label hidden by its ``_``."""
+    """Text that matplotlib prints literally: no mathematics between dollar signs, no label hidden by its ``_``."""
     text = text.replace("$", r"\$")
     return f"\N{THIN SPACE}{text}" if text.startswith("_") else text
 
@@ -44,14 +44,14 @@ def name_of(key: str) -> str:
 
 
 def setting(key: str, value: Any) -> str:
-    """One value of a swept key, as a panel's heading: ``SNR = 20 dB``, and by its symbol if it has one: ``κ = ∞``."""
+    """One value of a swept key as a heading: ``SNR = 20 dB``, or ``κ = ∞`` if the key has a symbol."""
     name, _, unit = name_of(key).partition(" [")
     symbol = name.rpartition(" ")[2]
     return f"{symbol if len(symbol) == 1 else name} = {text_of(value)}{' ' + unit.rstrip(']') if unit else ''}"
 
 
 def text_of(value: Any) -> str:
-    """A cell of a swept column as text: ∞, ``0, 20, 40`` for a list, its kind and options for a table."""
+    """A cell of a swept column as text: ∞ for infinity, ``0, 20, 40`` for a list, kind and options for a table."""
     if isinstance(value, str) and value[:1] in "[{":
         return _text(json.loads(value))
     return _text(value)
@@ -74,19 +74,23 @@ def _text(value: Any) -> str:
 @final
 @dataclass(frozen=True)
 class Places:
-    """Where the values of a numeric key stand on its axis; ∞ stands one step beyond the last finite one."""
+    """The places of a numeric key's values on its axis. ∞ is placed one step beyond the last finite value.
+
+    of: place of each value.
+    log: whether the axis is logarithmic.
+    """
 
     of: dict[float, float]
     log: bool
 
     @property
     def beyond(self) -> float | None:
-        """Where ∞ stands, if it is among the values."""
+        """The place of ∞; None if it is not among the values."""
         return self.of.get(math.inf)
 
 
 def places(key: str, values: Sequence[Any]) -> Places | None:
-    """The places of a key's values; None where they are categories: text, lists, or but one finite number."""
+    """The places of a key's values; None for categories: text, lists, or fewer than two finite numbers."""
     if not all(isinstance(v, int | float | np.number) and not isinstance(v, bool | np.bool_) for v in values):
         return None
     numbers = sorted({float(value) for value in values})
@@ -102,7 +106,7 @@ def places(key: str, values: Sequence[Any]) -> Places | None:
 
 
 def _geometric(numbers: list[float]) -> bool:
-    """Whether they span a decade, in steps that are more even as ratios than as differences."""
+    """Whether the numbers span a decade, in steps whose ratios vary less than their differences."""
     return numbers[-1] >= 10 * numbers[0] and _unevenness(np.log(numbers)) <= _unevenness(np.array(numbers))
 
 

@@ -1,4 +1,4 @@
-"""Where sources were and where each method put them, source by source."""
+"""True and estimated positions of each source."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ from .style import GREY, WIDTHS, Style
 
 __all__ = ["few_enough", "position_figures"]
 
-REPETITIONS = 10  # shown; more would hide each other
-FEW = {"repetitions": 12, "points": 4, "methods": 6}  # with no more than that, positions are drawn unasked
+REPETITIONS = 10  # repetitions that are shown; more would hide each other
+FEW = {"repetitions": 12, "points": 4, "methods": 6}  # largest study whose positions are drawn by default
 COLUMNS = {"single": 3, "double": 6}
-WIDEST = 2.2  # panel [in]
+WIDEST = 2.2  # maximum width of a panel [in]
 AXES = "xyz"
 ORIGIN: dict[str, Any] = {"color": GREY, "marker": "+", "markersize": 5.0, "markeredgewidth": 0.8, "linestyle": ""}
 TRUTH: dict[str, Any] = {"color": "black", "marker": "*", "markersize": 5.0, "markeredgewidth": 0.0, "linestyle": ""}
@@ -39,14 +39,18 @@ TRUTH: dict[str, Any] = {"color": "black", "marker": "*", "markersize": 5.0, "ma
 @final
 @dataclass(frozen=True)
 class _Places:
-    """Of one scenario point: ``truth`` (R, K, 3) and, by method, the estimates (R, K, 3), NaN without one [m]."""
+    """The positions at one scenario point [m].
+
+    truth: true positions, (R, K, 3).
+    found: estimated positions by method, (R, K, 3); NaN where there is no estimate.
+    """
 
     truth: Float[ndarray, "r k 3"]
     found: dict[str, Float[ndarray, "r k 3"]]
 
 
 def few_enough(study: Drawn) -> bool:
-    """Whether the study is so small that its positions are drawn without being asked for."""
+    """Whether the study is small enough that its positions are drawn by default."""
     return (
         study.runs["repetition"].max() < FEW["repetitions"]
         and len(study.by(study.swept)) <= FEW["points"]
@@ -57,17 +61,19 @@ def few_enough(study: Drawn) -> bool:
 def position_figures(
     study: Drawn, results: Results, width: str, manifest: Path, plugins: tuple[Path, ...]
 ) -> Iterator[tuple[str, Figure]]:
-    """(file stem, figure) of each scenario point, of the first ten repetitions; none where instances have no places.
+    """Yield (file stem, figure) of each scenario point with its first ten repetitions.
 
-    Instances are drawn again from the manifest's scenario and the stored seeds. Raises NfbenchError where that is not
-    possible, or gives other instances than the runs had.
+    Yields nothing if the instances have no positions. Instances are redrawn from the manifest's scenario and the
+    stored seeds. Raises NfbenchError if that is not possible, or gives instances other than those of the runs.
     """
     scenarios = {_key(swept.items()): scenario for swept, scenario in load_scenarios(manifest, plugins)}
     estimates = dict(results.estimates())
     for part in study.by(study.swept):
         scenario = scenarios.get(_key((key_of(column), value) for column, value in part.where))
         if scenario is None:
-            raise NfbenchError(f"{manifest}: expected the scenario of these runs, found none with {named(part)}")
+            raise NfbenchError(
+                f"{manifest}: expected the scenario of the runs, found none with {named(part) or 'no sweep'}"
+            )
         places = _redrawn(part, scenario, estimates)
         if places is not None:
             stem = f"positions-{slug(part)}" if part.where else "positions"
@@ -79,22 +85,22 @@ def _key(swept: Iterable[tuple[str, Any]]) -> frozenset[tuple[str, Any]]:
 
 
 def _redrawn(part: Drawn, scenario: Scenario, estimates: dict[str, Any]) -> _Places | None:
-    """The instances of one point again, and what was found there."""
+    """Redraw the instances of one point, and match the estimates to them; None if they have no positions."""
     runs = part.runs[part.runs["status"] == Status.OK]
     shown = sorted(runs["repetition"].unique())[:REPETITIONS]
     truths: list[ndarray] = []
     found: dict[str, list[ndarray]] = {name: [] for name in part.methods}
     for repetition in shown:
-        here = runs[runs["repetition"] == repetition]
-        instance = scenario.draw(np.random.default_rng(int(here["instance_seed"].iloc[0])))
+        same = runs[runs["repetition"] == repetition]
+        instance = scenario.draw(np.random.default_rng(int(same["instance_seed"].iloc[0])))
         matched = {}
-        for run in here.to_dict("records"):
+        for run in same.to_dict("records"):
             estimate = np.array(estimates[run["run_id"]], dtype=np.float64)
             error = instance.score(estimate)[part.error]
             if not math.isclose(error, run[part.error], rel_tol=1e-6, abs_tol=1e-12):
                 raise NfbenchError(
-                    f"positions cannot be redrawn: {part.error} of run {run['run_id']} is {run[part.error]:.6g}, and "
-                    f"{error:.6g} on the instance that its scenario and seed draw now"
+                    f"positions cannot be redrawn: {part.error} of run {run['run_id']} is {run[part.error]:.6g}, but "
+                    f"{error:.6g} on the instance redrawn from the manifest's scenario and the run's seed"
                 )
             placed = instance.positions(estimate)
             if placed is None:
@@ -107,7 +113,7 @@ def _redrawn(part: Drawn, scenario: Scenario, estimates: dict[str, Any]) -> _Pla
 
 
 def _figure(part: Drawn, places: _Places, width: str) -> Figure:
-    """A column of panels a source: seen from above, and where z matters, from the side below."""
+    """One column of panels per source: the view from above and, if z varies, the view from the side below it."""
     everything = np.concatenate([places.truth, *places.found.values(), np.zeros((1, *places.truth.shape[1:]))])
     low, high = np.nanmin(everything, axis=(0, 1)), np.nanmax(everything, axis=(0, 1))
     margin = 0.06 * (high - low).max()
@@ -147,7 +153,7 @@ def _figure(part: Drawn, places: _Places, width: str) -> Figure:
 
 
 def _draw(ax: Axes, part: Drawn, places: _Places, k: int, view: tuple[int, int]) -> None:
-    """One source in one view: stars, and a line from each to what every method took for it."""
+    """Draw one source in one view: stars, with a line from each star to every method's estimate."""
     i, j = view
     ax.plot([0.0], [0.0], **ORIGIN, zorder=1)
     truth = places.truth[:, k]
@@ -159,6 +165,6 @@ def _draw(ax: Axes, part: Drawn, places: _Places, k: int, view: tuple[int, int])
 
 
 def _hollow(style: Style) -> dict[str, Any]:
-    """Markers that show what is behind them: where methods agree, they meet around the star."""
+    """Keywords for hollow markers, through which the star stays visible where the methods agree."""
     edge = {"markerfacecolor": "none", "markeredgecolor": style.colour, "markeredgewidth": 0.8, "markersize": 4.5}
     return {**style.points, **edge}

@@ -1,4 +1,4 @@
-"""Run time against error: what a method costs, and what it gives."""
+"""Run time against error: the cost and the accuracy of each method."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ PANELS = 4
 
 
 def runtime_figure(study: Drawn, width: str, wanted: Wanted | None) -> Figure:
-    """Every method a point, in one panel or in one for each of up to four points of the sweep, ends included."""
+    """One point per method, in one panel or in one for each of up to four scenario points."""
     (metric, *_) = study.metrics(wanted or "rmse")
     parts = chosen(study.by(study.swept))
     columns = min(len(parts), 2 if width == "single" else PANELS)
@@ -59,6 +59,6 @@ def runtime_figure(study: Drawn, width: str, wanted: Wanted | None) -> Figure:
 
 
 def chosen(parts: Sequence[Drawn]) -> list[Drawn]:
-    """All of them, or four: the first, the last and two evenly between."""
+    """All parts, or four of them: the first, the last and two evenly spaced between."""
     picks = np.unique(np.linspace(0, len(parts) - 1, PANELS).round().astype(int))
     return [parts[i] for i in picks] if len(parts) > PANELS else list(parts)

@@ -1,4 +1,4 @@
-"""How every figure looks: sizes for print, and for each method a colour, marker and line that read in grey too."""
+"""The look of all figures: sizes for print, and a colour, marker and line per method that also work in grey."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ import matplotlib as mpl
 
 __all__ = ["GREY", "WIDTHS", "Style", "styled", "styles"]
 
-WIDTHS = {"single": 3.5, "double": 7.16}  # of an IEEE column and of the page [in]
+WIDTHS = {"single": 3.5, "double": 7.16}  # width of an IEEE column and page [in]
 GREY = "0.45"
 
-# Okabe & Ito 2008, without black, which is the bounds', and yellow, which fades on paper
+# Okabe & Ito 2008, without black, which the bounds use, and yellow, which is too pale on paper
 _COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#6B4C9A")
 _MARKERS = ("o", "s", "^", "D", "v", "<", "p", ">", "P", "h", "X")
 _LINES: tuple[Any, ...] = ("-", (0, (5, 1.5)), (0, (6, 1.5, 1.2, 1.5)), (0, (2.5, 1.2)))
 
 _SETTINGS: dict[Any, Any] = {
-    "font.family": "DejaVu Sans",  # comes with matplotlib: the same everywhere
+    "font.family": "DejaVu Sans",  # part of matplotlib, so the same everywhere
     "font.size": 7.5,
     "axes.titlesize": 7.5,
     "axes.labelsize": 7.5,
@@ -49,16 +49,19 @@ _SETTINGS: dict[Any, Any] = {
     "legend.columnspacing": 1.2,
     "legend.borderaxespad": 0.2,
     "savefig.dpi": 300,
-    "svg.fonttype": "path",  # the same picture without our font
-    "svg.hashsalt": "nfbench",  # ids that do not change from one drawing to the next
-    "pdf.fonttype": 42,  # TrueType: publishers refuse Type 3
+    "svg.fonttype": "path",  # looks the same without our font
+    "svg.hashsalt": "nfbench",  # the same ids in every drawing
+    "pdf.fonttype": 42,  # TrueType, because publishers refuse Type 3
 }
 
 
 @final
 @dataclass(frozen=True)
 class Style:
-    """How one method is drawn, in every panel and file of its study."""
+    """How one method is drawn, in every panel and file of its study.
+
+    colour, marker, line: in matplotlib's notation.
+    """
 
     colour: str
     marker: str
@@ -66,25 +69,25 @@ class Style:
 
     @property
     def points(self) -> dict[str, Any]:
-        """Keywords for markers alone."""
+        """Keywords of ``plot`` for markers without a line."""
         edge = {"markeredgecolor": "white", "markeredgewidth": 0.3}
         return {"color": self.colour, "marker": self.marker, "linestyle": "", **edge}
 
     @property
     def joined(self) -> dict[str, Any]:
-        """Keywords for markers joined by a line."""
+        """Keywords of ``plot`` for markers joined by a line."""
         return {**self.points, "linestyle": self.line}
 
 
 def styles(methods: Sequence[str]) -> dict[str, Style]:
-    """A style each; the pairs of marker and line differ for 44 methods, with the colour for 308."""
+    """The style of each method. Marker and line together differ for 44 methods, with the colour for 308."""
     looks = zip(itertools.cycle(_COLOURS), itertools.cycle(_MARKERS), itertools.cycle(_LINES), strict=False)
     return {method: Style(*look) for method, look in zip(methods, looks, strict=False)}
 
 
 @contextlib.contextmanager
 def styled() -> Iterator[None]:
-    """Within: our settings alone, whatever the user's own matplotlibrc says."""
+    """Use only our settings in this context, whatever the user's matplotlibrc contains."""
     with mpl.rc_context():
         mpl.rcdefaults()
         mpl.rcParams.update(_SETTINGS)

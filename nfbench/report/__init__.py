@@ -1,4 +1,4 @@
-"""What a study found, for people to read."""
+"""Reports a study's results to the user."""
 
 from __future__ import annotations
 

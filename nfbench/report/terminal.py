@@ -1,4 +1,4 @@
-"""What a study found, for the terminal: a table a scenario point, and a sentence that says no more than it shows."""
+"""The terminal report: one table per scenario point, each with a sentence that states what the table supports."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ from nfbench.results import Comparison, Results
 
 __all__ = ["number_text", "print_comparison", "print_report", "summary_table"]
 
-SHOWN = 20  # differing rows that are printed
-DISPENSABLE = ("90 %", "runs", "off by", "95 % interval", "evals")  # left out first where a terminal is narrow
+SHOWN = 20  # maximum number of differing runs that are printed
+DISPENSABLE = ("90 %", "runs", "off by", "95 % interval", "evals")  # dropped first, in this order, on a narrow terminal
 
 
 def print_report(results: Results, console: Console) -> None:
-    """Print the summary, its verdict for each scenario point, and every kind of failure with an example."""
+    """Print the summary and verdict of each scenario point, and every kind of failure with an example."""
     meta, runs, summary = results.meta, results.runs, results.summary()
     if runs.empty:
-        console.print("No run is finished yet.")
+        console.print("No run has finished yet.")
         return
     if meta["title"]:
         console.print(f"\n[bold]{escape(meta['title'])}[/bold]")
@@ -35,33 +35,37 @@ def print_report(results: Results, console: Console) -> None:
         console.print(f"[dim]Expected: {escape(meta['expect'])}[/dim]")
     left = results.counts.get("open", 0)
     if left:
-        console.print(f"[yellow]Unfinished: {left} of {left + len(runs)} runs are still to do.[/yellow]")
-    for where, rows, at in _by_point(summary, runs):
+        console.print(f"[yellow]Unfinished study: {len(runs)} of {left + len(runs)} runs are done.[/yellow]")
+    for title, rows, point_runs in _by_point(summary, runs):
         console.print()
-        console.print(summary_table(where, rows, meta["error"], float(meta["outlier_m"]), console))
-        console.print(escape(verdict(at, meta["error"])))
+        console.print(summary_table(title, rows, meta["error"], float(meta["outlier_m"]), console))
+        console.print(escape(verdict(point_runs, meta["error"])))
     _print_failures(runs, console)
 
 
 def print_comparison(found: Comparison, console: Console) -> None:
-    """Print how two folders differ, the rows that differ most, and what it does to the methods' errors."""
+    """Print how two folders differ, the runs that differ most, and the effect on the methods' errors."""
     console.print(
-        f"{found.equal} runs are identical, {found.rounding} within rounding (1e-9), {len(found.rows)} differ; "
-        f"{found.only_first} are only in the first folder, {found.only_second} only in the second."
+        f"Runs in both folders: {found.equal} identical, {found.rounding} equal within rounding (1e-9), "
+        f"{len(found.rows)} different. Runs only in the first folder: {found.only_first}; "
+        f"only in the second: {found.only_second}."
     )
     if len(found.rows):
         console.print(_frame(found.rows.sort_values("change", ascending=False).head(SHOWN)))
         if len(found.rows) > SHOWN:
-            console.print(f"… and {len(found.rows) - SHOWN} more")
+            console.print(f"… and {len(found.rows) - SHOWN} more runs")
         console.print(_frame(found.methods))
     if found.matters:
-        console.print("It matters: runs are missing, a status changed, or an error left its 95\u00a0% interval.")
+        console.print(
+            "The difference matters: runs are missing, a status changed, or an error left its 95\u00a0% interval."
+        )
     else:
-        console.print("It does not matter: every error stays within its 95\u00a0% interval." if len(found.rows) else "")
+        sentence = "The difference does not matter: every error stays within its 95\u00a0% interval."
+        console.print(sentence if len(found.rows) else "")
 
 
 def _frame(frame: pd.DataFrame) -> Table:
-    """A frame whose ``<name>_first``, ``<name>_second`` are shown as one column ``first → second``."""
+    """A table of a frame that shows ``<name>_first`` and ``<name>_second`` in one column as ``first → second``."""
     names = list(dict.fromkeys(name.removesuffix("_first").removesuffix("_second") for name in frame.columns))
     table = Table(box=SIMPLE_HEAD, pad_edge=False)
     for name in names:
@@ -78,19 +82,19 @@ def _before_after(row: dict[Any, Any], name: str) -> str:
 
 
 def _by_point(summary: pd.DataFrame, runs: pd.DataFrame) -> Iterator[tuple[str, pd.DataFrame, pd.DataFrame]]:
-    """(name of the point, its rows of the summary, its runs) for each scenario point."""
+    """Yield (title, rows of the summary, runs) for each scenario point."""
     swept = default_groups(runs)[:-3]
     if not swept:
         yield "", summary, runs
         return
     for key, rows in summary.groupby(swept, sort=False):
-        here = np.logical_and.reduce([runs[name] == value for name, value in zip(swept, key, strict=True)])
-        where = ", ".join(f"{name.removeprefix('scenario.')} = {value}" for name, value in zip(swept, key, strict=True))
-        yield where, rows, runs[here]
+        mask = np.logical_and.reduce([runs[name] == value for name, value in zip(swept, key, strict=True)])
+        title = ", ".join(f"{name.removeprefix('scenario.')} = {value}" for name, value in zip(swept, key, strict=True))
+        yield title, rows, runs[mask]
 
 
 def summary_table(where: str, rows: pd.DataFrame, error: str, outlier_m: float, console: Console) -> Table:
-    """The rows of one scenario point, best first, with as many columns as the console is wide."""
+    """The table of one scenario point, best method first, with as many columns as fit the console."""
     metres = error == "rmse_m"
     name, unit = ("RMSE", "m") if metres else (f"RMS {error}", "")
     median, q90 = ("median_m", "q90_m") if metres else (f"{error}_median", f"{error}_q90")
@@ -108,15 +112,15 @@ def summary_table(where: str, rows: pd.DataFrame, error: str, outlier_m: float, 
     if not metres:
         del columns["off by"]
     while True:
-        table = _drawn(where, rows.sort_values(error, na_position="last"), columns)
-        narrower = [head for head in DISPENSABLE if head in columns]
+        table = _table(where, rows.sort_values(error, na_position="last"), columns)
+        droppable = [head for head in DISPENSABLE if head in columns]
         wanted = console.measure(table, options=console.options.update(max_width=1000)).maximum
-        if wanted <= console.width or not narrower:
+        if wanted <= console.width or not droppable:
             return table
-        del columns[narrower[0]]
+        del columns[droppable[0]]
 
 
-def _drawn(where: str, rows: pd.DataFrame, columns: dict[str, tuple[str, Callable[[Any], str]]]) -> Table:
+def _table(where: str, rows: pd.DataFrame, columns: dict[str, tuple[str, Callable[[Any], str]]]) -> Table:
     table = Table(title=where or None, title_justify="left", title_style="bold", box=SIMPLE_HEAD, pad_edge=False)
     table.add_column("method\n", overflow="fold")
     for head, (measure, _) in columns.items():
@@ -127,14 +131,14 @@ def _drawn(where: str, rows: pd.DataFrame, columns: dict[str, tuple[str, Callabl
 
 
 def _print_failures(runs: pd.DataFrame, console: Console) -> None:
-    """Each status other than ok, how often and for which method, with one message."""
+    """Print each status other than ok with its number of runs, its method and one message."""
     bad = runs[runs["status"] != Status.OK]
     for (status, method), group in bad.groupby(["status", "method"], sort=False):
         console.print(f"[red]{status}[/red] × {len(group)}: {escape(str(method))}: {escape(group['message'].iloc[0])}")
 
 
 def number_text(value: float) -> str:
-    """Three significant digits, without the exponent where a reader does better without."""
+    """Three significant digits, with an exponent only for very small and very large numbers."""
     if math.isnan(value):
         return "–"
     return f"{value:.3g}" if value == 0 or not 1e-4 <= abs(value) < 1e4 else f"{float(f'{value:.3g}'):.6g}"

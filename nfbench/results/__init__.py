@@ -1,4 +1,4 @@
-"""Where rows and traces are kept, and how they are read, merged, compared and exported."""
+"""Stores the rows and traces of a study, and reads, merges, compares and exports them."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ _MODULES = {
 
 
 def __getattr__(name: str) -> Any:
-    """Import what needs pandas on first use: it is slow to import, and ``nfbench status`` does without it."""
+    """Import what needs pandas on first use: pandas is slow to import, and ``nfbench status`` does not need it."""
     if name in _MODULES:
         return getattr(importlib.import_module(f".{_MODULES[name]}", __name__), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

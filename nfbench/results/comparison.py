@@ -1,4 +1,4 @@
-"""Compares two folders of one study."""
+"""Compares two results folders of the same study."""
 
 from __future__ import annotations
 
@@ -15,18 +15,21 @@ from .results import Results
 
 __all__ = ["Comparison", "compare"]
 
-ROUNDING = 1e-9  # relative: what another BLAS or CPU may change without anybody minding
+ROUNDING = 1e-9  # relative difference that another BLAS or CPU may cause
 COMPARED = ("objective", "evaluations")
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """What two folders of one study have in common and where they differ.
+    """Which runs of two results folders agree, and which differ.
 
-    only_first, only_second: runs that one folder alone has. rows: runs of both that differ, with the columns
-    ``<name>_first``, ``<name>_second`` and ``change`` (greatest relative difference of a number; inf where the status
-    differs). equal, rounding: runs identical to the bit, and those within 1e-9. methods: where rows differ, each
-    method's RMSE in both folders and whether the second lies outside the first's 95 % interval.
+    equal: number of runs with the same status, error, objective and evaluations, bit for bit.
+    rounding: number of runs whose relative difference is at most 1e-9.
+    only_first, only_second: number of runs that only this folder has.
+    rows: the runs that differ by more, with the columns ``<name>_first``, ``<name>_second`` and ``change``, the
+    greatest relative difference of a number (inf if the status differs, or only one of the numbers is finite).
+    methods: each method's error in both folders, and whether the second lies outside the first's 95 % interval
+    (column ``outside``); empty if no rows differ.
     """
 
     equal: int
@@ -38,22 +41,22 @@ class Comparison:
 
     @property
     def matters(self) -> bool:
-        """Whether a method's RMSE moved out of its 95 % interval, a status changed, or runs are missing."""
+        """Whether a method's error left its 95 % interval, a status changed, or a folder lacks runs."""
         statuses = bool(len(self.rows)) and bool(np.isinf(self.rows["change"]).any())
         moved = bool(len(self.methods)) and bool(self.methods["outside"].any())
         return statuses or moved or bool(self.only_first or self.only_second)
 
 
 def compare(first: str | Path, second: str | Path) -> Comparison:
-    """Compare the runs of two folders, matched by what was asked for: scenario point, method and repetition.
+    """Compare the runs of two folders. Runs are matched by scenario point, method and repetition.
 
-    Raises StoreError where a folder holds no results.
+    Raises StoreError if a folder holds no results, or if the second does not sweep all keys of the first.
     """
     one, two = Results(Path(first)), Results(Path(second))
     a, b, error = one.runs, two.runs, one.meta["error"]
     key = [name for name in a.columns if name.startswith("scenario.")] + ["method", "repetition"]
     if lacking := [name for name in key if name not in b.columns]:
-        raise StoreError(f"{first} and {second} sweep different keys: {', '.join(lacking)} only in the first")
+        raise StoreError(f"cannot compare {first} with {second}: only the first sweeps {', '.join(lacking)}")
     both = a.merge(b, on=key, how="outer", suffixes=("_first", "_second"), indicator=True)
     joined = both[both["_merge"] == "both"]
     names = [name for name in (error, *COMPARED) if f"{name}_first" in joined.columns]
@@ -72,7 +75,7 @@ def compare(first: str | Path, second: str | Path) -> Comparison:
 
 
 def _change(joined: pd.DataFrame, names: list[str]) -> pd.Series[float]:
-    """The greatest relative difference of each row's numbers, inf where the statuses differ."""
+    """The greatest relative difference among each row's numbers; inf where the statuses differ."""
     change = np.zeros(len(joined))
     for name in names:
         x, y = (joined[f"{name}_{side}"].to_numpy(dtype=float) for side in ("first", "second"))
@@ -85,6 +88,7 @@ def _change(joined: pd.DataFrame, names: list[str]) -> pd.Series[float]:
 
 
 def _methods(one: Results, two: Results, error: str) -> pd.DataFrame:
+    """Each method's error in both folders at each scenario point."""
     groups = default_groups(one.runs)
     columns = [*groups, error, f"{error}_low", f"{error}_high"]
     table = one.summary()[columns].merge(two.summary()[[*groups, error]], on=groups, suffixes=("_first", "_second"))

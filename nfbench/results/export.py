@@ -1,4 +1,4 @@
-"""A study's traces for the tools of others: in IOHprofiler's data format, and as one table."""
+"""Exports a study's traces for other tools: in IOHprofiler's data format, or as one CSV table."""
 
 from __future__ import annotations
 
@@ -23,13 +23,19 @@ from .store import TracedRun
 
 __all__ = ["Exported", "export_csv", "export_ioh"]
 
-IOH_FORMAT = "0.3.22"  # of the ioh whose files ours are like; IOHanalyzer asks for 0.3.3 or newer
-NAME_LENGTH = 80  # of a file or folder made of a label, in characters
+IOH_FORMAT = "0.3.22"  # version of ioh whose file format is written; IOHanalyzer requires 0.3.3 or newer
+NAME_LENGTH = 80  # maximum length of a file or folder name made from a label [characters]
 
 
 @dataclass
 class Exported:
-    """What was written to ``path``: ``runs`` of ``total`` runs, and how many are ``left_out`` for which reason."""
+    """What an export wrote.
+
+    path: file or folder that was written.
+    runs: number of exported runs.
+    total: number of runs in the study.
+    left_out: number of runs that were left out, by reason.
+    """
 
     path: Path
     runs: int = 0
@@ -41,7 +47,7 @@ class Exported:
         return f"{self.path}: {self.runs} of {self.total} runs" + (f"; left out: {reasons}" if reasons else "")
 
     def takes(self, reason: str | None) -> bool:
-        """Count one more run, which is left out if there is a reason for it."""
+        """Count one more run; return False if there is a reason to leave it out."""
         if reason is None:
             self.runs += 1
         else:
@@ -49,25 +55,28 @@ class Exported:
         return reason is None
 
     def close(self, results: Results) -> None:
-        """Count the runs still to do. Raises NfbenchError where there was nothing to write."""
+        """Count the unfinished runs. Raises NfbenchError if there was nothing to write."""
         self.total = sum(results.counts.values())
         if left := self.total - self.runs - sum(self.left_out.values()):
             self.left_out["open"] = left
         if not self.runs:
-            finished = "no run with a trace" if self.total > left else "no run is finished yet"
-            raise NfbenchError(f"{results.folder}: {finished}; nothing is written ({self})")
+            reason = "no finished run can be exported" if self.total > left else "no run has finished yet"
+            raise NfbenchError(f"{results.folder}: {reason}; nothing was written ({self})")
 
 
 def export_ioh(results: Results, out: Path | None = None) -> Exported:
-    """Write the traces of all runs that are ok to the folder ``out`` in IOHprofiler's data format.
+    """Write the traces of all runs with status ok to the folder ``out`` in IOHprofiler's data format.
 
-    A folder for each method, its algorithm; a function for each scenario point, formulation and problem of a run; an
-    instance for each repetition, under its number. Values are best so far, as our traces are. Left out is what the
-    format cannot say: runs without a trace, and those whose first value was not finite, as readers tell runs apart by
-    their first evaluation.
+    Each method becomes an algorithm with its own folder. Each combination of scenario point, formulation and problem
+    number becomes a function, and each repetition becomes an instance with the same number. The values are the best
+    values so far, as in the stored traces. Runs that the format cannot represent are left out: those without a trace,
+    and those whose first value is not finite, because readers recognize the start of a run by its first evaluation.
 
-    Raises StoreError without a study or where the folder cannot be written, NfbenchError where it exists or there is
-    nothing to write. Source: Doerr, Wang, Ye, van Rijn & Bäck (2018), and the files of ioh's logger Analyzer.
+    out: folder to write; None: ``export-ioh`` in the results folder.
+
+    Raises StoreError if the results folder holds no study or ``out`` cannot be written, and NfbenchError if ``out``
+    exists or there is nothing to write. Reference: Doerr, Wang, Ye, van Rijn & Bäck (2018), and the files that ioh's
+    logger ``Analyzer`` writes.
     """
     out = results.folder / "export-ioh" if out is None else out
     _refuse_existing(out)
@@ -84,10 +93,12 @@ def export_ioh(results: Results, out: Path | None = None) -> Exported:
 
 
 def export_csv(results: Results, out: Path | None = None) -> Exported:
-    """Write ``Results.traces`` to the file ``out``, each row with its method, repetition, swept values and status.
+    """Write ``Results.traces`` to a CSV file, and add the method, repetition, swept values and status to each row.
 
-    Raises StoreError without a study or where the file cannot be written, NfbenchError where it exists or there is
-    nothing to write.
+    out: file to write; None: ``traces.csv`` in the results folder.
+
+    Raises StoreError if the results folder holds no study or ``out`` cannot be written, and NfbenchError if ``out``
+    exists or there is nothing to write.
     """
     out = results.folder / "traces.csv" if out is None else out
     _refuse_existing(out)
@@ -114,7 +125,7 @@ def export_csv(results: Results, out: Path | None = None) -> Exported:
             head = ["run_id", "method", "repetition", *(f"scenario.{key}" for key in keys), "status", "problem"]
             head += ["evaluations", "seconds", "value", *(f"x_{j}" for j in range(dimension))]
             table = csv.writer(file, lineterminator="\n")
-            table.writerow(head)  # its width is known only now
+            table.writerow(head)  # the number of columns is known only now
             table.writerows(row + [""] * (len(head) - len(row)) for row in csv.reader(body))
 
     write_whole(out, write)
@@ -123,11 +134,12 @@ def export_csv(results: Results, out: Path | None = None) -> Exported:
 
 def _refuse_existing(out: Path) -> None:
     if out.exists() or out.is_symlink():
-        raise NfbenchError(f"{out} exists; remove it, or choose another place with --out")
+        raise NfbenchError(f"{out} already exists; remove it, or choose another path with --out")
 
 
-def _status(run: TracedRun, of_ok: str) -> str:
-    return of_ok if run.status == Status.OK else run.status
+def _status(run: TracedRun, reason_if_ok: str) -> str:
+    """The status of a run that is left out, or the given reason if its status is ok."""
+    return reason_if_ok if run.status == Status.OK else run.status
 
 
 def _unfit(run: TracedRun) -> str | None:
@@ -135,13 +147,13 @@ def _unfit(run: TracedRun) -> str | None:
     if run.status != Status.OK or not run.traces:
         return _status(run, "without a trace")
     if not all(np.isfinite(trace.values).all() for trace in run.traces):
-        return "not finite at first"
+        return "with a non-finite first value"
     return None
 
 
 @final
 class _Profile:
-    """Writes runs, as they come, to data sets of IOHprofiler; ``close`` writes what describes them."""
+    """Writes runs to IOHprofiler data sets as they come; ``close`` writes the JSON files that describe them."""
 
     def __init__(self, folder: Path, study: str) -> None:
         self._folder, self._study = folder, study
@@ -151,8 +163,8 @@ class _Profile:
 
     def add(self, run: TracedRun) -> None:
         for number, trace in enumerate(run.traces):
-            what = (json.dumps(run.swept), run.formulation, number)
-            function = self._functions.setdefault(what, len(self._functions) + 1)
+            key = (json.dumps(run.swept), run.formulation, number)
+            function = self._functions.setdefault(key, len(self._functions) + 1)
             if (run.method, function) not in self._data:
                 self._data[run.method, function] = self._new(run, number, function)
             self._data[run.method, function].add(run.repetition, trace)
@@ -183,7 +195,7 @@ class _Profile:
 
 @dataclass
 class _DataSet:
-    """One method on one function: a file of traces a dimension, and a JSON file with a line for each."""
+    """One method on one function: a file of traces per dimension, and a JSON file with one line per run."""
 
     folder: Path
     stem: str
@@ -195,14 +207,14 @@ class _DataSet:
         path = self.folder / self._path(dimension)
         if dimension not in self.runs:
             path.parent.mkdir(parents=True, exist_ok=True)
-        with path.open("a", encoding="ascii") as file:  # thousands of them, too many to keep open
+        with path.open("a", encoding="ascii") as file:  # there may be thousands of files, too many to keep open
             file.write("evaluations raw_y\n")
             rows = zip(trace.evaluations.tolist(), trace.values.tolist(), strict=True)
             file.writelines(f"{evaluations} {value!r}\n" for evaluations, value in rows)
         i = int(trace.values.argmin())
         best = {"evals": int(trace.evaluations[i]), "y": float(trace.values[i]), "x": trace.points[i].tolist()}
         run = {"instance": instance, "evals": int(trace.evaluations[-1]), "best": best}
-        self.runs.setdefault(dimension, []).append(json.dumps(run))  # text takes a fifth of the memory
+        self.runs.setdefault(dimension, []).append(json.dumps(run))  # JSON text takes a fifth of the memory of the dict
 
     def close(self) -> None:
         scenarios = ",\n".join(
@@ -217,7 +229,7 @@ class _DataSet:
 
 
 def _safe(label: str, taken: Iterable[str] = ()) -> str:
-    """A label as part of a file's name on any system; other than those taken, also where case does not count."""
+    """A label as a valid file name on any system, unlike those taken even where case is ignored."""
     name = re.sub(r"[^A-Za-z0-9+-]+", "_", label).strip("_-")[:NAME_LENGTH] or "_"
     lowered, number, found = {other.lower() for other in taken}, 2, name
     while found.lower() in lowered:
@@ -226,5 +238,5 @@ def _safe(label: str, taken: Iterable[str] = ()) -> str:
 
 
 def _attribute(value: Any) -> str:
-    """A value as text: readers take it for Python where they can, so what is no number or plain text is quoted."""
+    """A value as text. Readers evaluate it as Python if they can, so the JSON of a list or table is quoted."""
     return value if isinstance(value, str) else repr(cell(value))

@@ -1,4 +1,4 @@
-"""A results folder: made or moved aside, written by one process at a time, its files whole or not at all."""
+"""Creates, locks and moves aside results folders, and writes their files whole or not at all."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ __all__ = ["locked", "prepare", "whole_folder", "write_whole"]
 
 
 def prepare(folder: Path, fresh: bool) -> None:
-    """Have the folder exist; with ``fresh``, an old one is moved aside first. Raises StoreError."""
+    """Create the folder; with ``fresh``, first move an existing one aside. Raises StoreError if that fails."""
     try:
         if fresh and folder.exists():
-            locked(folder).release()  # nobody is writing there
+            locked(folder).release()  # raises StoreError if another process is writing there
             folder.rename(folder.with_name(f"{folder.name}.{datetime.now():%Y%m%d-%H%M%S}"))
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -28,13 +28,14 @@ def prepare(folder: Path, fresh: bool) -> None:
 
 
 def locked(folder: Path) -> FileLock:
-    """The folder's lock, acquired, for the one who writes there. Raises StoreError where somebody else has it."""
+    """Acquire the folder's write lock and return it. Raises StoreError if another process holds the lock."""
     lock = FileLock(folder / ".lock", timeout=0)
     try:
         lock.acquire()
     except Timeout:
         raise StoreError(
-            f"{folder}: another nfbench is writing here; wait for it, or choose another folder with --out"
+            f"{folder}: another nfbench process is writing to this folder; wait until it ends, or choose another "
+            f"folder with --out"
         ) from None
     except OSError as error:
         raise StoreError(f"{folder} cannot be written: {error.strerror or error}") from error
@@ -42,9 +43,10 @@ def locked(folder: Path) -> FileLock:
 
 
 def write_whole(path: Path, make: Callable[[Path], object], kept: str = "runs.sqlite") -> None:
-    """Write a file whole or not at all, also where power fails.
+    """Write a file whole or not at all, even if the power fails.
 
-    Raises StoreError, and the old file stays, where that fails; it names what keeps the finished rows.
+    make: function that writes the file at the path it receives. kept: name of the file that keeps the finished rows,
+    for the error message. Raises StoreError if writing fails; the old file is then unchanged.
     """
     draft = path.with_name(f".{path.name}.{os.getpid()}")
     try:
@@ -61,9 +63,9 @@ def write_whole(path: Path, make: Callable[[Path], object], kept: str = "runs.sq
 
 @contextlib.contextmanager
 def whole_folder(path: Path) -> Iterator[Path]:
-    """A new folder to fill, which becomes ``path`` at the end, and vanishes on any exception.
+    """Yield a temporary folder. It is renamed to ``path`` at the end, or removed on any exception.
 
-    Raises StoreError where it cannot be written, or something is there already.
+    Raises StoreError if the folder cannot be written, or if ``path`` is already in use.
     """
     draft = path.with_name(f".{path.name}.{os.getpid()}")
     try:

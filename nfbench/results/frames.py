@@ -1,4 +1,4 @@
-"""Tables of a store as pandas frames, built column by column so that a long study fits in memory."""
+"""Builds the table of runs as a pandas frame, column by column so that a long study fits in memory."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ __all__ = ["RunsFrame", "cell"]
 
 
 class RunsFrame:
-    """Gathers rows of the store into the table of runs, column by column, each distinct text kept once."""
+    """Collects rows of the store into the table of runs; equal texts are kept in memory only once."""
 
     _TEXT = ("scenario", "formulation", "solver", "swept", "status", "message", "method")
     _NUMBERS = ("objective", "runtime_s", "cpu_s")
@@ -41,7 +41,7 @@ class RunsFrame:
                 self._columns[name].append(value)
 
     def finished(self) -> pd.DataFrame:
-        """The table, its score columns sorted, ``rmse_m`` among the first ones whether it is scored or not."""
+        """The table. Score columns come last, sorted; ``rmse_m`` always exists and comes before the objective."""
         columns, rows = self._columns, range(len(self._columns["run_id"]))
         settings = {text: json.loads(text) for text in dict.fromkeys(columns["swept"])}
         swept = dict.fromkeys(key for setting in settings.values() for key in setting)
@@ -62,10 +62,10 @@ class RunsFrame:
 
 
 def cell(value: Any) -> Any:
-    """A swept value as one cell: numbers and text as they are, lists and tables as JSON."""
+    """A swept value as one cell: numbers and text unchanged, lists and tables as JSON."""
     return json.dumps(value) if isinstance(value, list | dict) else value
 
 
 def _natural(name: str) -> list[tuple[int, str]]:
-    """A key that sorts error_10_m behind error_9_m."""
+    """A sort key that puts error_10_m after error_9_m."""
     return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", name)]

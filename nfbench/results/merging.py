@@ -1,4 +1,4 @@
-"""Joins the folders of one study's shards."""
+"""Merges results folders of one study, such as its shards."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ __all__ = ["merge"]
 
 
 def merge(folders: Sequence[str | Path], out: str | Path) -> Results:
-    """Join the results of ``folders`` in ``out``, a new folder or one of the same study, and write its tables.
+    """Merge the results of ``folders`` into ``out``, a new folder or one of the same study, and write its tables.
 
-    Raises StoreError if they are of different studies, seeds, manifests or plugin versions, or disagree on a run; then
-    ``out`` is left with what was joined before.
+    Raises StoreError if the folders differ in study, seed, manifest or plugin versions, or if they have different
+    results for the same run. ``out`` then keeps what was merged before.
     """
     out = Path(out)
     try:

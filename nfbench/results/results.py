@@ -1,4 +1,4 @@
-"""Reads a study's folder as pandas tables."""
+"""Reads a study's results folder as pandas tables."""
 
 from __future__ import annotations
 
@@ -20,9 +20,11 @@ __all__ = ["Results"]
 
 @dataclass(frozen=True)
 class Results:
-    """A study's folder, read again at every access (also while the study runs).
+    """The results of a study. Every access reads the folder again, which also works while the study runs.
 
-    Raises StoreError where the folder holds no results.
+    folder: the results folder, e.g. ``results/quickstart``.
+
+    Raises StoreError if the folder holds no results.
     """
 
     folder: Path
@@ -43,7 +45,7 @@ class Results:
 
     @property
     def origins(self) -> pd.DataFrame:
-        """Where and when each finished run was made: run_id, host, worker (process id), finished."""
+        """Where and when each run was executed: run_id, host, worker (process id), finished (UTC time)."""
         import pandas as pd
 
         with Store(self.folder) as store:
@@ -52,7 +54,7 @@ class Results:
 
     @property
     def traces(self) -> pd.DataFrame:
-        """Every improvement of every run: run_id, problem (0, 1 … in the run), evaluations, seconds, value, x_0 …"""
+        """One row per recorded improvement: run_id, problem (from 0 in a run), evaluations, seconds, value, x_0, …"""
         import pandas as pd
 
         frames = [
@@ -74,13 +76,13 @@ class Results:
 
     @property
     def meta(self) -> dict[str, str]:
-        """Name, seed, shard, title, expectation, error and outlier threshold of the study."""
+        """Name, seed, shard, title, expectation, error measure and outlier threshold [m] of the study, as text."""
         with Store(self.folder) as store:
             return store.meta
 
     @property
     def counts(self) -> dict[str, int]:
-        """Runs by status; ``open`` are those without a result yet."""
+        """Number of runs by status; ``open`` counts those without a result yet."""
         with Store(self.folder) as store:
             return store.counts()
 
@@ -92,7 +94,7 @@ class Results:
 
     @property
     def rate(self) -> float:
-        """Runs finished per second in the last minutes in which any was; 0 where that is unknown."""
+        """Runs finished per second, over the five minutes before the last finished run; 0 if unknown."""
         with Store(self.folder) as store:
             return store.rate()
 
@@ -103,17 +105,17 @@ class Results:
             return store.swept_keys()
 
     def run_traces(self) -> Iterator[tuple[str, tuple[Trace, ...]]]:
-        """(run_id, traces) of every finished run, in the study's order; one trace per problem that it minimized."""
+        """Yield (run_id, traces) of every finished run, in order; a run has one trace per problem it minimized."""
         with Store(self.folder) as store:
             yield from store.traces()
 
     def traced_runs(self) -> Iterator[TracedRun]:
-        """Every finished run with what it is and its traces, in order, read in pages."""
+        """Yield every finished run with its method and traces, in order. Runs are read in pages."""
         with Store(self.folder) as store:
             yield from store.traced_runs()
 
     def estimates(self) -> Iterator[tuple[str, Any]]:
-        """(run_id, estimate as nested lists) of every finished run that has an estimate, in order."""
+        """Yield (run_id, estimate as nested lists) of every finished run that has an estimate, in order."""
         with Store(self.folder) as store:
             yield from store.estimates()
 

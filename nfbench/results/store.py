@@ -1,4 +1,4 @@
-"""The store: one SQLite file that every table is made from."""
+"""The store: one SQLite file from which every table is made."""
 
 from __future__ import annotations
 
@@ -36,22 +36,22 @@ CREATE TABLE IF NOT EXISTS results (
     run_id TEXT PRIMARY KEY, status TEXT NOT NULL, message TEXT, objective REAL, evaluations INTEGER, runtime_s REAL,
     cpu_s REAL, scores TEXT, estimate TEXT, traces BLOB, host TEXT, worker INTEGER, finished REAL) WITHOUT ROWID;
 """
-_MIGRATIONS = {  # what makes a file of that schema one of the next
+_MIGRATIONS = {  # SQL that brings a file from this schema to the next one
     1: "ALTER TABLE results ADD COLUMN finished REAL;",
 }
-RUN_COLUMNS = (  # what makes a row of runs.csv
+RUN_COLUMNS = (  # from which a row of runs.csv is made
     *("run_id", "scenario", "formulation", "solver", "repetition", "swept", "status", "message", "objective"),
     *("evaluations", "runtime_s", "cpu_s", "instance_seed", "solver_seed", "method", "scores"),
 )
 ORIGIN_COLUMNS = ("run_id", "host", "worker", "finished")
 _PLAN_COLUMNS = 10
 _RESULT_COLUMNS = 13
-_PAGE = 256  # runs read at once with their traces
+_PAGE = 256  # runs that are read at once, with their traces
 
 
 @dataclass(frozen=True)
 class TracedRun:
-    """A finished run and how it went: a trace for each problem it minimized, none where it minimized none."""
+    """A finished run with one trace for each problem that it minimized; no traces if it minimized none."""
 
     run_id: str
     formulation: str
@@ -64,11 +64,12 @@ class TracedRun:
 
 
 class Store:
-    """The rows and traces of one study's folder.
+    """The rows and traces in one study's folder.
 
-    ``plan`` holds what the manifest asks for now, in order; ``results`` whatever was ever computed here. Tables show
-    the results of the plan. Open it for reading, at any time and by any number of processes, or with ``write=True``,
-    by one. Raises StoreError where the file cannot be opened, is damaged, or has another writer.
+    The table ``plan`` holds the runs that the manifest describes now, in order. The table ``results`` holds every
+    result ever computed in this folder. Readers see the results of runs in the plan. Any number of processes may open
+    the store for reading at any time, and one for writing (``write=True``). Raises StoreError if the file cannot be
+    opened, is damaged, or has another writer.
     """
 
     def __init__(self, folder: Path, *, write: bool = False) -> None:
@@ -84,7 +85,7 @@ class Store:
 
     def __exit__(self, *_: object) -> None:
         if self._lock is not None:
-            with contextlib.suppress(sqlite3.Error):  # one file without companions, unless somebody is reading
+            with contextlib.suppress(sqlite3.Error):  # removes the -wal and -shm files, unless somebody is reading
                 self._db.execute("PRAGMA journal_mode = DELETE")
         self._db.close()
         if self._lock is not None:
@@ -94,18 +95,18 @@ class Store:
 
     @property
     def meta(self) -> dict[str, str]:
-        """What the folder belongs to, as text by key."""
+        """Name, seed, shard and further properties of the study, as text by key."""
         with self._own_errors():
             return dict(self._db.execute("SELECT key, value FROM meta"))
 
     def counts(self) -> dict[str, int]:
-        """Runs of the plan by status, and those without a result as ``open``."""
+        """Number of runs of the plan by status; those without a result count as ``open``."""
         query = "SELECT COALESCE(status, 'open'), COUNT(*) FROM plan LEFT JOIN results USING (run_id) GROUP BY 1"
         with self._own_errors():
             return dict(self._db.execute(query))
 
     def failures(self) -> list[tuple[str, str, int, str]]:
-        """(status, method, how many, one message) of the runs that are not ok."""
+        """(status, method, number of runs, one of their messages) of the runs that are not ok."""
         query = (
             "SELECT status, method, COUNT(*), MIN(message) FROM plan JOIN results USING (run_id) "
             "WHERE status != 'ok' GROUP BY 1, 2 ORDER BY 3 DESC"
@@ -114,7 +115,7 @@ class Store:
             return list(self._db.execute(query))
 
     def rate(self, window_s: float = 300.0) -> float:
-        """Runs finished per second over the last ``window_s`` seconds in which any was, 0 if that cannot be told."""
+        """Runs finished per second, over the ``window_s`` seconds before the last finished run; 0 if unknown."""
         query = (
             "SELECT COUNT(*), MAX(finished) - MIN(finished) FROM results WHERE finished > "
             "(SELECT MAX(finished) FROM results) - ?"
@@ -124,31 +125,31 @@ class Store:
         return (count - 1) / seconds if seconds else 0.0
 
     def open_ordinals(self) -> list[int]:
-        """The plan's places without a result, in order."""
+        """Positions in the plan of the runs without a result, in order."""
         query = "SELECT ordinal FROM plan WHERE run_id NOT IN (SELECT run_id FROM results) ORDER BY ordinal"
         with self._own_errors():
             return [ordinal for (ordinal,) in self._db.execute(query)]
 
     def runs(self) -> Iterator[tuple[Any, ...]]:
-        """RUN_COLUMNS of every finished run of the plan, in its order."""
+        """Yield the columns RUN_COLUMNS of every finished run of the plan, in order."""
         with self._own_errors():
             yield from self._db.execute(f"SELECT {', '.join(RUN_COLUMNS)} {_JOINED}")
 
     def origins(self) -> list[tuple[Any, ...]]:
-        """ORIGIN_COLUMNS of every finished run of the plan, in its order: where and when it was made."""
+        """The columns ORIGIN_COLUMNS of every finished run of the plan, in order."""
         with self._own_errors():
             return self._db.execute(f"SELECT {', '.join(ORIGIN_COLUMNS)} {_JOINED}").fetchall()
 
     def traces(self) -> Iterator[tuple[str, tuple[Trace, ...]]]:
-        """(run_id, traces) of every finished run of the plan, in its order; a trace for each problem minimized."""
+        """Yield (run_id, traces) of every finished run of the plan, in order; one trace per minimized problem."""
         with self._own_errors():
             for run_id, blob in self._db.execute(f"SELECT run_id, traces {_JOINED}"):
                 yield run_id, _unpacked(blob)
 
     def traced_runs(self) -> Iterator[TracedRun]:
-        """Every finished run of the plan with its traces, in order.
+        """Yield every finished run of the plan with its traces, in order.
 
-        Read in pages, so that one who takes long over them keeps neither memory nor the writer waiting.
+        Runs are read in pages, so that a slow reader neither fills the memory nor blocks the writer.
         """
         query = (
             "SELECT ordinal, run_id, formulation, solver, method, repetition, status, swept, traces "
@@ -169,7 +170,7 @@ class Store:
         return list(dict.fromkeys(key for (text,) in settings for key in json.loads(text)))
 
     def estimates(self) -> Iterator[tuple[str, Any]]:
-        """(run_id, estimate as nested lists) of every finished run of the plan that has one, in its order."""
+        """Yield (run_id, estimate as nested lists) of every finished run of the plan that has one, in order."""
         with self._own_errors():
             for run_id, estimate in self._db.execute(f"SELECT run_id, estimate {_JOINED}"):
                 if (found := json.loads(estimate)) is not None:
@@ -178,15 +179,15 @@ class Store:
     # --- writing -------------------------------------------------------------------------------------------------
 
     def begin(self, study: Study, shard: tuple[int, int] | None = None) -> bool:
-        """Lay down the plan: all runs of the study, or those of shard k of n. Says whether anything is new here.
+        """Store the plan: all runs of the study, or those of shard k of n. Return whether anything changed.
 
         Raises StoreError, with the difference, if the folder belongs to another study, seed or shard.
         """
-        asked = {"name": study.name, "seed": str(study.seed), "shard": f"{shard[0]}/{shard[1]}" if shard else ""}
+        expected = {"name": study.name, "seed": str(study.seed), "shard": f"{shard[0]}/{shard[1]}" if shard else ""}
         found = self.meta
         differing = [
-            f"{key} is {found[key]!r} there, {value!r} was asked for"
-            for key, value in asked.items()
+            f"expected {key} = {value!r}, found {found[key]!r}"
+            for key, value in expected.items()
             if found.get(key, value) != value
         ]
         if differing:
@@ -195,7 +196,7 @@ class Store:
                 f"or move this one aside with --fresh"
             )
         about = {"title": study.title, "expect": study.expect, "error": study.error, "outlier_m": study.outlier_m}
-        known = {key: str(value) for key, value in {**asked, **about, "plan": study.fingerprint}.items()}
+        known = {key: str(value) for key, value in {**expected, **about, "plan": study.fingerprint}.items()}
         if known.items() <= found.items():
             return False
         with self._writing():
@@ -211,11 +212,11 @@ class Store:
         return True
 
     def tabled(self) -> bool:
-        """Whether tables were written of all that is finished now, as ``mark_tabled`` noted."""
+        """Whether the tables include all runs that are finished now, according to ``mark_tabled``."""
         return self.meta.get("tabled") == str(self._finished())
 
     def mark_tabled(self) -> None:
-        """Note that tables were written of all that is finished now."""
+        """Record that the tables include all runs that are finished now."""
         with self._writing():
             self._db.execute("REPLACE INTO meta VALUES ('tabled', ?)", [str(self._finished())])
 
@@ -223,12 +224,12 @@ class Store:
         return sum(count for status, count in self.counts().items() if status != "open")
 
     def forget(self, statuses: Iterable[str]) -> None:
-        """Drop the results of these statuses, so that their runs are made again."""
+        """Delete the results with these statuses, so that their runs are repeated."""
         with self._writing():
             self._db.executemany("DELETE FROM results WHERE status = ?", [(str(status),) for status in statuses])
 
     def add(self, records: Iterable[RunRecord]) -> None:
-        """Write records in one transaction; they are on the disk when this returns."""
+        """Write records in one transaction; they are on disk when this returns."""
         rows = [_result_row(record) for record in records]
         with self._writing():
             self._db.executemany(f"REPLACE INTO results VALUES ({_marks(_RESULT_COLUMNS)})", rows)
@@ -236,13 +237,15 @@ class Store:
     def take_over(self, other: Store) -> None:
         """Add the plan and results of another folder of the same study.
 
-        Raises StoreError if they contradict what is here: another study, another plan, or other values of a run.
+        Raises StoreError if they contradict this folder: another study, another plan, or another result of a run.
         """
         ours, theirs = self.meta, other.meta
         for key in ("name", "seed", "plan"):
             if ours.setdefault(key, theirs.get(key, "")) != theirs.get(key, ""):
-                what = "the manifest, or a plugin's version," if key == "plan" else f"{key} {ours[key]!r}"
-                raise StoreError(f"{other.folder} cannot be merged: {what} differs from that of the folders before it")
+                reason = f"its {key} is {theirs.get(key, '')!r}, but that of the previous folders is {ours[key]!r}"
+                if key == "plan":
+                    reason = "its manifest or a plugin version differs from that of the previous folders"
+                raise StoreError(f"{other.folder} cannot be merged: {reason}")
         with self._writing():
             known = [(key, value) for key, value in theirs.items() if key not in ("shard", "tabled")]
             self._db.executemany("REPLACE INTO meta VALUES (?, ?)", known)
@@ -250,13 +253,13 @@ class Store:
                 f"INSERT OR IGNORE INTO plan VALUES ({_marks(_PLAN_COLUMNS)})", other._db.execute("SELECT * FROM plan")
             )
             for row in other._db.execute("SELECT * FROM results"):
-                here = self._db.execute("SELECT * FROM results WHERE run_id = ?", row[:1]).fetchone()
-                if here is not None and _computed(here) != _computed(row):
+                present = self._db.execute("SELECT * FROM results WHERE run_id = ?", row[:1]).fetchone()
+                if present is not None and _computed(present) != _computed(row):
                     raise StoreError(
-                        f"{other.folder} cannot be merged: run {row[0]} came to another result than in the folders "
-                        f"before it ({here[1]}, objective {here[3]}; here {row[1]}, objective {row[3]})"
+                        f"{other.folder} cannot be merged: its result of run {row[0]} ({row[1]}, objective {row[3]}) "
+                        f"differs from that in the previous folders ({present[1]}, objective {present[3]})"
                     )
-                if here is None:
+                if present is None:
                     self._db.execute(f"INSERT INTO results VALUES ({_marks(_RESULT_COLUMNS)})", row)
 
     # --- the file ------------------------------------------------------------------------------------------------
@@ -265,7 +268,7 @@ class Store:
         db = sqlite3.connect(f"{self.path.resolve().as_uri()}?mode=ro", uri=True, timeout=10)
         schema = _schema(db)
         if schema is None:
-            raise StoreError(f"{self.path} holds no study yet; where one has just been started, try again")
+            raise StoreError(f"{self.path} holds no study yet; if one has just been started, try again")
         if schema != SCHEMA:
             raise StoreError(f"{self.path}: expected schema {SCHEMA}, found {schema}; `nfbench run` can update it")
         return db
@@ -276,8 +279,8 @@ class Store:
             db = sqlite3.connect(self.path, timeout=10)
             damage = db.execute("PRAGMA quick_check(1)").fetchone()[0]
             if damage != "ok":
-                raise StoreError(f"{self.path} is damaged ({damage}); --fresh moves the folder aside and starts anew")
-            # a network file system cannot share the memory that WAL needs
+                raise StoreError(f"{self.path} is damaged ({damage}); --fresh moves the folder aside and starts over")
+            # WAL needs shared memory, which a network file system does not provide
             db.execute(f"PRAGMA journal_mode = {'DELETE' if network_file_system(self.folder) else 'WAL'}")
             db.execute("PRAGMA synchronous = FULL")
             self._bring_up_to_date(db)
@@ -289,7 +292,7 @@ class Store:
     def _bring_up_to_date(self, db: sqlite3.Connection) -> None:
         schema = _schema(db)
         if schema is not None and not 1 <= schema <= SCHEMA:
-            raise StoreError(f"{self.path}: expected schema 1 to {SCHEMA}, found {schema}; it is of a newer nfbench")
+            raise StoreError(f"{self.path}: expected schema 1 to {SCHEMA}, found {schema}; a newer nfbench wrote it")
         for step in range(schema or SCHEMA, SCHEMA):
             db.executescript(_MIGRATIONS[step])
         db.executescript(_TABLES)
@@ -306,31 +309,31 @@ class Store:
 
     @contextlib.contextmanager
     def _writing(self) -> Iterator[None]:
-        """One transaction: committed at the end, undone on any exception."""
+        """One transaction: committed at the end, rolled back on any exception."""
         try:
             with self._db:
                 yield
         except sqlite3.Error as error:
-            raise StoreError(f"{self.path}: {error}; the rows written before are kept") from error
+            raise StoreError(f"{self.path}: {error}; rows written earlier are kept") from error
 
 
 _JOINED = "FROM plan JOIN results USING (run_id) ORDER BY ordinal"
 
 
 def network_file_system(folder: Path) -> str | None:
-    """The type of the network file system that holds ``folder``; None on a local one, or where that is unknown."""
+    """The type of the network file system that holds ``folder``; None if it is local or unknown."""
     try:
         mounts = [line.split()[1:3] for line in MOUNTS.read_text(encoding="utf-8").splitlines()]
     except OSError:
         return None
-    here = folder.resolve()
-    holding = [(len(point), kind) for point, kind in mounts if here.is_relative_to(point.replace("\\040", " "))]
+    path = folder.resolve()
+    holding = [(len(point), kind) for point, kind in mounts if path.is_relative_to(point.replace("\\040", " "))]
     kind = max(holding, default=(0, ""))[1]
     return kind if re.match(r"nfs|cifs|smb|9p|afs|lustre|gpfs|beegfs|ceph|glusterfs|fuse\.", kind) else None
 
 
 def _schema(db: sqlite3.Connection) -> int | None:
-    """The schema's number; None for a file without tables."""
+    """The schema number of a file; None if it has no tables."""
     if not db.execute("SELECT COUNT(*) FROM sqlite_master").fetchone()[0]:
         return None
     found = db.execute("SELECT value FROM meta WHERE key = 'schema'").fetchone()
@@ -351,7 +354,7 @@ def _plan_row(ordinal: int, spec: RunSpec) -> tuple[Any, ...]:
 
 
 def _result_row(record: RunRecord) -> tuple[Any, ...]:
-    scores = {name: repr(score) for name, score in record.scores.items()}  # text: JSON has no inf
+    scores = {name: repr(score) for name, score in record.scores.items()}  # as text, because JSON has no inf
     return (
         record.run_id, str(record.status), record.message, record.objective, record.evaluations, record.runtime_s,
         record.cpu_s, json.dumps(scores), json.dumps(record.estimate), _packed(record.traces), record.host,
@@ -360,12 +363,12 @@ def _result_row(record: RunRecord) -> tuple[Any, ...]:
 
 
 def _computed(row: tuple[Any, ...]) -> tuple[Any, ...]:
-    """What two executions of one run must agree in: status, objective, evaluations, scores, estimate."""
+    """What must be equal in two executions of one run: status, objective, evaluations, scores, estimate."""
     return (row[1], row[3], row[4], row[7], row[8])
 
 
 def _packed(traces: tuple[Trace, ...]) -> bytes:
-    """The traces as one compressed block of arrays."""
+    """The traces as one compressed block of bytes."""
     if not traces:
         return b""
     buffer = io.BytesIO()

@@ -1,4 +1,4 @@
-"""Searches a solver's options on training scenes and judges the result on held-out ones."""
+"""Searches a solver's options on training scenes and evaluates the result on held-out scenes."""
 
 from __future__ import annotations
 

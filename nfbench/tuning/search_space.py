@@ -1,4 +1,4 @@
-"""What can be tuned of a plugin: the options whose types, or marks, say where to look."""
+"""Finds which options of a plugin can be tuned, and their search ranges, from types, limits and marks."""
 
 from __future__ import annotations
 
@@ -13,14 +13,15 @@ from nfbench.core import Options, Tune
 __all__ = ["Domain", "domains"]
 
 Domain: TypeAlias = Tune | tuple[Any, ...]
-"""Where to look for an option: a range, of ints for an int, or the values to choose from."""
+"""The search range of an option: a range of numbers (of ints for an int option), or the values to choose from."""
 
 
 def domains(cls: type[Options]) -> dict[str, Domain]:
-    """Where to look for each option that can be tuned.
+    """The search range of each option that can be tuned.
 
-    A bool or Literal has its values; a number the range of its :class:`Tune` mark or, without one, of its
-    limits where it has both; one that may be None is tuned as a number. Other options cannot be tuned.
+    A bool or Literal option has its values as the search range. A number has the range of its :class:`Tune` mark or,
+    without a mark, the range between its limits if it has both. An option that may be None is tuned over its other
+    values. Other options cannot be tuned.
     """
     hints = typing.get_type_hints(cls, include_extras=True)
     found = {field.name: _domain(hints[field.name]) for field in dataclasses.fields(cls) if field.init}
@@ -46,14 +47,14 @@ def _range(number: type[int] | type[float], *marks: Any) -> Tune | None:
         if isinstance(mark, Tune):
             return Tune(number(mark.low), number(mark.high), mark.log)
     low, high = -math.inf, math.inf
-    for mark in marks:  # an open end is left out
-        low = max(low, getattr(mark, "ge", -math.inf), _beyond(getattr(mark, "gt", -math.inf), number, math.inf))
-        high = min(high, getattr(mark, "le", math.inf), _beyond(getattr(mark, "lt", math.inf), number, -math.inf))
+    for mark in marks:  # a strict limit is not part of the range
+        low = max(low, getattr(mark, "ge", -math.inf), _next_number(getattr(mark, "gt", -math.inf), number, math.inf))
+        high = min(high, getattr(mark, "le", math.inf), _next_number(getattr(mark, "lt", math.inf), number, -math.inf))
     return Tune(number(low), number(high)) if -math.inf < low < high < math.inf else None
 
 
-def _beyond(end: float, number: type[int] | type[float], towards: float) -> float:
-    """The next number of that type."""
+def _next_number(end: float, number: type[int] | type[float], towards: float) -> float:
+    """The number of that type next to ``end``, in the direction of ``towards``."""
     if math.isinf(end):
         return end
     return math.nextafter(end, towards) if number is float else end + math.copysign(1, towards)

@@ -1,4 +1,4 @@
-"""The folder of a tuning: ``trials.csv``, row by row, and ``tuning.json``, which says what it is a tuning of."""
+"""The folder of a tuning: ``trials.csv`` with one row per trial, and ``tuning.json``, which identifies the tuning."""
 
 from __future__ import annotations
 
@@ -24,10 +24,13 @@ ADVICE = "choose another folder with --out, or move this one aside with --fresh"
 
 @dataclass(frozen=True)
 class Trial:
-    """One setting on the training scenes.
+    """The result of one setting on the training scenes.
 
-    score: NaN where a run failed or the setting is impossible. error: the score of a run that it is the mean log of.
-    message: why there is no score, in one line.
+    number: number of the trial; 0 is the default setting.
+    options: values of the tuned options.
+    score: mean of log10 of the error over the training scenes; NaN if a run failed or the setting is invalid.
+    error: name of the error measure, e.g. ``rmse_m``.
+    message: the reason why there is no score, in one line; empty if there is one.
     """
 
     number: int
@@ -39,10 +42,15 @@ class Trial:
 
 @final
 class Trials:
-    """What is stored of a tuning; new trials are added behind.
+    """The stored trials of a tuning, to which new trials are appended.
 
-    A last line that was not written whole counts as not written. Nothing is touched before the first ``add``. Raises
-    StoreError where the folder has another tuning than ``identity``, or one that cannot be read.
+    An incomplete last line is ignored. No file is changed before the first ``add``.
+
+    folder: folder of the tuning.
+    identity: everything that determines the trials and their scores, as plain data.
+    names: names of the tuned options.
+
+    Raises StoreError if the folder holds a tuning with another identity, or one that cannot be read.
     """
 
     def __init__(self, folder: Path, identity: dict[str, Any], names: Sequence[str]) -> None:
@@ -56,28 +64,28 @@ class Trials:
         return len(self._rows)
 
     def replay(self, number: int, options: dict[str, Any]) -> Trial | None:
-        """The stored trial of that number; None where there is none.
+        """The stored trial of that number; None if there is none.
 
-        Raises StoreError where it is of another setting than ``options``, which the tuner asks for now.
+        Raises StoreError if the stored options differ from ``options``, which the sampler proposes now.
         """
         if number >= len(self._rows):
             return None
         _, score, error, message, *cells = self._rows[number]
         differing = [
-            f"{name} is {there} there, {here} now"
-            for name, there, here in zip(self.names, cells, self._cells(options), strict=True)
-            if there != here
+            f"{name} was {stored}, now {proposed}"
+            for name, stored, proposed in zip(self.names, cells, self._cells(options), strict=True)
+            if stored != proposed
         ]
         if differing:
             then, now = self._written_with, version("optuna")
             raise StoreError(
-                f"{self.folder / TABLE} cannot be gone on with: trial {number} is another setting than now "
-                f"({'; '.join(differing)}); it was begun with optuna {then}, here is {now}; {ADVICE}"
+                f"{self.folder / TABLE} cannot be resumed: the sampler proposes other options for trial {number} "
+                f"({'; '.join(differing)}); started with optuna {then}, resumed with optuna {now}; {ADVICE}"
             )
         return Trial(number, options, float(score or "nan"), error, message)
 
     def add(self, trial: Trial) -> None:
-        """Write one more row; it is on the disk when this returns."""
+        """Append one row; it is on disk when this returns."""
         if not self._rows:
             text = json.dumps({"tuning": self.identity, "optuna": version("optuna")}, indent=2) + "\n"
             write_whole(self.folder / IDENTITY, lambda draft: draft.write_text(text, encoding="utf-8"), TABLE)
@@ -98,23 +106,23 @@ class Trials:
         return ["" if options[name] is None else str(options[name]) for name in self.names]
 
     def _checked(self) -> str:
-        """The version of Optuna that the folder's tuning was begun with; none where there is no tuning yet."""
+        """The version of Optuna with which the stored tuning was started; empty if there is no tuning yet."""
         path = self.folder / IDENTITY
         if not path.exists():
             if found := [name for name in (TABLE, TUNED) if (self.folder / name).exists()]:
-                raise StoreError(f"{self.folder} has {' and '.join(found)} of a tuning without {IDENTITY}; {ADVICE}")
+                raise StoreError(f"{self.folder} has {' and '.join(found)} but no {IDENTITY}; {ADVICE}")
             return ""
         try:
             found = json.loads(path.read_text(encoding="utf-8"))
-            there, written_with = found["tuning"], str(found["optuna"])
+            stored, written_with = found["tuning"], str(found["optuna"])
         except (ValueError, TypeError, KeyError) as error:
             raise StoreError(f"{path} cannot be read: {error}; {ADVICE}") from error
-        if differing := list(_differences(there, self.identity)):
+        if differing := list(_differences(stored, self.identity)):
             raise StoreError(f"{self.folder} belongs to another tuning: {'; '.join(differing)}; {ADVICE}")
         return written_with
 
     def _read(self) -> tuple[list[list[str]], int]:
-        """The rows that are whole, and where they end [bytes]."""
+        """The complete rows, and the size of the file up to their end [bytes]."""
         path = self.folder / TABLE
         data = path.read_bytes() if path.exists() else b""
         data = data[: data.rfind(b"\n") + 1]
@@ -131,16 +139,16 @@ class Trials:
         return rows, len(data) if rows else 0
 
 
-def _differences(there: Any, here: Any, path: str = "") -> Iterator[str]:
-    """Where two identities differ, in words."""
-    if isinstance(there, dict) and isinstance(here, dict):
-        for key in {**there, **here}:
-            yield from _differences(there.get(key), here.get(key), f"{path}.{key}" if path else key)
-    elif isinstance(there, list) and isinstance(here, list):
-        if len(there) != len(here):
-            yield f"{path} are {len(there)} there, {len(here)} were asked for"
+def _differences(stored: Any, expected: Any, path: str = "") -> Iterator[str]:
+    """Describe where two identities differ."""
+    if isinstance(stored, dict) and isinstance(expected, dict):
+        for key in {**stored, **expected}:
+            yield from _differences(stored.get(key), expected.get(key), f"{path}.{key}" if path else key)
+    elif isinstance(stored, list) and isinstance(expected, list):
+        if len(stored) != len(expected):
+            yield f"expected {len(expected)} {path}, found {len(stored)}"
         else:
-            for i, pair in enumerate(zip(there, here, strict=True)):
+            for i, pair in enumerate(zip(stored, expected, strict=True)):
                 yield from _differences(*pair, f"{path}[{i}]")
-    elif there != here:
-        yield f"{path} is {there!r} there, {here!r} was asked for"
+    elif stored != expected:
+        yield f"expected {path} = {expected!r}, found {stored!r}"

@@ -1,4 +1,4 @@
-"""Tunes a solver's options on training scenes of a study, and says on other scenes what that is worth."""
+"""Tunes a solver's options on training scenes of a study, and measures the gain on held-out scenes."""
 
 from __future__ import annotations
 
@@ -39,17 +39,22 @@ from .trials import TUNED, Trial, Trials
 
 __all__ = ["Plan", "Trial", "Tuning", "tune"]
 
-FLOOR = 1e-12  # an error below counts as this
-DIGITS = 4  # of a tuned number
+FLOOR = 1e-12  # smaller errors count as this
+DIGITS = 4  # significant digits of a tuned number
 
 
 @dataclass(frozen=True)
 class Plan:
-    """What is tuned and how.
+    """What is tuned, and how.
 
-    options: of the solver, that stay as they are. formulation: its label in the study; None: the first that needs a
-    solver. evaluations: for each problem; None: the study's budget. trials: settings tried, beside the default.
-    training, held_out: scenes at each point of the study. seed: of the tuner; the scenes have the study's.
+    solver: name of the solver to tune.
+    options: options of the solver that keep these values and are not tuned.
+    formulation: label in the study of the formulation to tune for; None: the first that needs a solver.
+    evaluations: budget of evaluations per problem; None: the study's budget.
+    trials: number of settings to try in addition to the default setting.
+    training: number of training scenes at each scenario point of the study.
+    held_out: number of held-out scenes at each scenario point of the study.
+    seed: seed of the tuner's sampler; the scenes use the study's seed.
     """
 
     solver: str
@@ -64,11 +69,18 @@ class Plan:
 
 @dataclass(frozen=True)
 class Tuning:
-    """What came of it.
+    """The result of a tuning.
 
-    trials: in order, the first being the default. best: the one of the least score. method: formulation and budget.
-    error: the score of a run that was minimized. held_out: rows of ``tables.summarize`` for "default" and "tuned";
-    None where the default is the best, or it was interrupted before. verdict: what the held-out scenes say.
+    plan: the plan that was executed; its ``trials`` count stored trials beyond those requested, too.
+    study: the study whose scenes were used.
+    method: formulation and budget that the solver was tuned for.
+    error: name of the error measure that was minimized.
+    trials: all trials in order; the first is the default setting.
+    best: the trial with the lowest score.
+    held_out: rows of ``summarize`` for "default" and "tuned"; None if the default is best, or if the tuning was
+    interrupted before the held-out scenes were run.
+    verdict: a sentence with the result on the held-out scenes.
+    interrupted: whether the tuning was interrupted.
     """
 
     plan: Plan
@@ -87,35 +99,39 @@ def tune(
     plan: Plan,
     out: Path,
     jobs: int = 0,
-    told: Callable[[Trial], None] = lambda trial: None,
+    on_trial: Callable[[Trial], None] = lambda trial: None,
     fresh: bool = False,
 ) -> Tuning:
-    """Search the solver's options for the least mean log error on training scenes, and compare on held-out ones.
+    """Search the options with the lowest mean log error on training scenes, and compare them on held-out scenes.
 
-    A trial's score is the mean over scenes of log10 of the study's error, or of ``gospa_m`` where the default does not
-    find the true number of sources in each. Held-out scenes are the study's first repetitions; those of training begin
-    behind them and behind all that the study has. Settings come from Optuna's TPE, one after the other, so that
-    they are a function of study and plan, whatever ``jobs``. Writes ``trials.csv``, a row a trial as it ends, and
-    ``tuned.toml`` to ``out``. After KeyboardInterrupt, what was tried until then counts.
+    The score of a trial is the mean over the training scenes of log10 of the study's error, or of ``gospa_m`` if the
+    default does not find the true number of sources in every scene. Held-out scenes are the study's first repetitions.
+    Training scenes are repetitions after those and after all repetitions of the study. Optuna's TPE proposes one
+    setting after the other, so the settings depend only on the study and the plan, not on ``jobs``. Writes
+    ``trials.csv``, one row as each trial ends, and ``tuned.toml``. After KeyboardInterrupt, the finished trials count.
 
-    A second call goes on: trials that ``out`` holds are not run again, and the tuner is told their scores, so that
-    what follows is what would have followed. Where there are more than ``plan.trials``, all count. fresh: move an old
-    folder aside first.
+    A second call resumes: stored trials are not run again, and the sampler receives their scores, so that the next
+    settings are the same as without an interruption. All stored trials count, even if more than ``plan.trials``.
 
-    Raises NfbenchError where the plan does not fit the study or no setting runs through, MissingExtra without Optuna,
-    StoreError where the folder cannot be used, has another writer, or belongs to another tuning (nothing is changed),
-    KeyboardInterrupt where it comes before any new trial.
+    out: folder of the tuning.
+    jobs: number of worker processes; 0: run in this process.
+    on_trial: called with each trial, stored ones included.
+    fresh: whether to move an existing folder aside first.
+
+    Raises NfbenchError if the plan does not fit the study or every setting fails, MissingExtra without
+    Optuna, StoreError if the folder cannot be used, has another writer, or belongs to another tuning (nothing is then
+    changed), and KeyboardInterrupt if it comes before any new trial.
     """
     if importlib.util.find_spec("optuna") is None:
-        raise MissingExtra("tuning needs optuna, not installed here: pip install 'nfbench[optuna]'")
+        raise MissingExtra("tuning needs optuna, which is not installed: pip install 'nfbench[optuna]'")
     search = _Search(study, plan)
     try:
         if not fresh:
-            search.stored(out)  # another tuning's folder is refused before anything is written there
+            search.stored(out)  # refuses the folder of another tuning before anything is written
         prepare(out, fresh)
         lock = locked(out)
         try:
-            found = search.tuning(search.stored(out), jobs, told)
+            found = search.tuning(search.stored(out), jobs, on_trial)
             text = _toml(found)
             write_whole(out / TUNED, lambda draft: draft.write_text(text, encoding="utf-8"), "trials.csv")
         finally:
@@ -133,25 +149,27 @@ class _Search:
         self.study, self.plan = study, plan
         self.method = _method(study, plan)
         self.registry = Registry(study.plugins)
-        self.first = max(study.repetitions, plan.held_out)  # repetition for training
+        self.first = max(study.repetitions, plan.held_out)  # first training repetition
         default = self.registry.make("solver", plan.solver, plan.options)
         self.domains = {name: d for name, d in domains(type(default)).items() if name not in plan.options}
         if not self.domains:
-            raise NfbenchError(f"{plan.solver} has no option to tune: no bool, Literal, or number with a range or Tune")
+            raise NfbenchError(
+                f"{plan.solver} has no option to tune: no bool, no Literal, no number with two limits or Tune"
+            )
         self.default = {name: canonical(getattr(default, name)) for name in self.domains}
         self.error = study.error
         self.scores: dict[str, tuple[float, str]] = {}
         self.trials: list[Trial] = []
 
     def stored(self, folder: Path) -> Trials:
-        """What the folder holds of this tuning. Raises StoreError where it holds another one."""
+        """The stored trials of this tuning. Raises StoreError if the folder holds another tuning."""
         return Trials(folder, self._identity(), list(self.domains))
 
     def _identity(self) -> dict[str, Any]:
-        """What decides which settings are tried on which scenes with which scores, as plain data."""
+        """Everything that determines the settings, the scenes and the scores, as plain data."""
         study, plan, method = self.study, self.plan, self.method
         solver = self._solver({}, ErrorCollector())
-        assert solver is not None  # it was made
+        assert solver is not None  # the constructor has already created it
         return {
             "solver": plan.solver,
             "options": canonical(plan.options),
@@ -167,19 +185,19 @@ class _Search:
             },
         }
 
-    def tuning(self, stored: Trials, jobs: int, told: Callable[[Trial], None]) -> Tuning:
+    def tuning(self, stored: Trials, jobs: int, on_trial: Callable[[Trial], None]) -> Tuning:
         self.plan = replace(self.plan, trials=max(self.plan.trials, len(stored) - 1))
         before = len(stored)
-        frame, verdict, interrupted = None, "It was interrupted before held-out scenes were run.", False
+        frame, verdict, interrupted = None, "The tuning was interrupted before the held-out scenes were run.", False
         try:
             scenario, solver = self.study.points[0].scenario, self._solver({}, ErrorCollector())
             if scenario.broken:
                 raise PluginError(scenario.broken)
             warm_up(self.study, [solver] if solver else [])
             with ordered_runner(self.study.plugins, jobs) as run:
-                self._search(run, stored, told)
+                self._search(run, stored, on_trial)
                 if self._best().number == 0:
-                    verdict = f"No setting of {self.plan.trials} is better on the training scenes: keep the default."
+                    verdict = f"None of {self.plan.trials} settings is better on the training scenes: keep the default."
                 else:
                     frame, verdict = self._compare(run)
         except KeyboardInterrupt:
@@ -193,10 +211,10 @@ class _Search:
     def _best(self) -> Trial:
         valid = [trial for trial in self.trials if not math.isnan(trial.score)]
         if not valid:
-            raise NfbenchError(f"no setting of {self.plan.solver} ran through; the default: {self.trials[0].message}")
+            raise NfbenchError(f"every setting of {self.plan.solver} failed; the default: {self.trials[0].message}")
         return min(valid, key=lambda trial: trial.score)
 
-    def _search(self, run: RunAll, stored: Trials, told: Callable[[Trial], None]) -> None:
+    def _search(self, run: RunAll, stored: Trials, on_trial: Callable[[Trial], None]) -> None:
         import optuna
 
         def keep(options: dict[str, Any]) -> Trial:
@@ -209,26 +227,26 @@ class _Search:
             else:
                 self.error, self.scores[_key(options)] = trial.error, (trial.score, trial.message)
             self.trials.append(trial)
-            told(trial)
+            on_trial(trial)
             return trial
 
         with _quiet(optuna.logging):
-            where = {name: _distribution(domain, optuna.distributions) for name, domain in self.domains.items()}
+            space = {name: _distribution(domain, optuna.distributions) for name, domain in self.domains.items()}
             tuner = optuna.create_study(sampler=optuna.samplers.TPESampler(seed=self.plan.seed, multivariate=True))
             default = keep(self.default)
             if not math.isnan(default.score) and all(_within(self.default[n], d) for n, d in self.domains.items()):
-                known = optuna.trial.create_trial(params=self.default, distributions=where, value=default.score)
+                known = optuna.trial.create_trial(params=self.default, distributions=space, value=default.score)
                 tuner.add_trial(known)
             for _ in range(self.plan.trials):
-                asked = tuner.ask(where)
-                trial = keep({name: _rounded(asked.params[name], domain) for name, domain in self.domains.items()})
+                proposal = tuner.ask(space)
+                trial = keep({name: _rounded(proposal.params[name], domain) for name, domain in self.domains.items()})
                 if math.isnan(trial.score):
-                    tuner.tell(asked, state=optuna.trial.TrialState.FAIL)
+                    tuner.tell(proposal, state=optuna.trial.TrialState.FAIL)
                 else:
-                    tuner.tell(asked, trial.score)
+                    tuner.tell(proposal, trial.score)
 
     def _score(self, options: dict[str, Any], run: RunAll) -> tuple[float, str]:
-        """A setting's score on the training scenes, and what went wrong."""
+        """A setting's score on the training scenes, and the reason if it has none."""
         if (key := _key(options)) not in self.scores:
             errors = ErrorCollector()
             solver = self._solver(options, errors)
@@ -241,22 +259,23 @@ class _Search:
         return self.scores[key]
 
     def _solver(self, options: dict[str, Any], errors: ErrorCollector) -> PluginSpec | None:
-        """The solver with these options; None, with the errors recorded, where they are impossible."""
+        """The solver with these options. If they are invalid, add the errors to ``errors`` and return None."""
         table = {"kind": self.plan.solver, **self.plan.options, **options}
         resolved = Resolver(self.registry, errors).resolve("solver", table, self.plan.solver)
         return resolved.spec if resolved else None
 
     def _mean_log(self, records: list[RunRecord]) -> tuple[float, str]:
+        """The mean of log10 of the runs' errors, and the reason if there is none."""
         for record in records:
             if record.status is not Status.OK:
                 return math.nan, _line(f"{record.status}: {record.message}")
         errors = self._errors(records)
         if np.isnan(errors).any():
-            return math.nan, f"a run without {self.error}"
+            return math.nan, f"a run has no {self.error}"
         return float(np.log10(errors).mean()), ""
 
     def _errors(self, records: list[RunRecord]) -> Float[ndarray, " runs"]:
-        """The error of each run, NaN where it has none."""
+        """The error of each run; NaN if it has none."""
         ok = [record.scores.get(self.error, math.nan) if record.status is Status.OK else math.nan for record in records]
         return np.maximum(ok, FLOOR)
 
@@ -266,11 +285,11 @@ class _Search:
         return [study.spec(repetition * points + point) for repetition in repetitions for point in range(points)]
 
     def _compare(self, run: RunAll) -> tuple[pd.DataFrame, str]:
-        """Default and best on held-out scenes."""
+        """Compare the default and the best setting on the held-out scenes."""
         rows, errors = [], {}
         for name, options in (("default", self.default), ("tuned", self._best().options)):
             solver = self._solver(options, ErrorCollector())
-            assert solver is not None  # it ran on training scenes
+            assert solver is not None  # it has run on the training scenes
             records = run(self._specs(solver, range(self.plan.held_out)))
             errors[name] = self._errors(records)
             rows += [
@@ -308,7 +327,7 @@ def _key(options: dict[str, Any]) -> str:
 
 
 def _line(text: str) -> str:
-    """The text in one line, so that a row of ``trials.csv`` is one."""
+    """The text in one line, so that each row of ``trials.csv`` is one line."""
     return " ".join(text.split())
 
 
@@ -331,7 +350,7 @@ def _within(value: Any, domain: Domain) -> bool:
 
 
 def _rounded(value: Any, domain: Domain) -> Any:
-    """A value as it is tried and written down: a float of few digits, still within its range."""
+    """A value as it is tried and stored: a float with few digits, within its range."""
     if not isinstance(domain, Tune) or isinstance(value, int):
         return value
     return min(max(float(f"{value:.{DIGITS}g}"), domain.low), domain.high)
@@ -339,25 +358,25 @@ def _rounded(value: Any, domain: Domain) -> Any:
 
 @contextlib.contextmanager
 def _quiet(logging: Any) -> Iterator[None]:
-    """Optuna's messages off within this context: it tells of every trial."""
+    """Silence Optuna in this context; it prints a message for every trial."""
     level = logging.get_verbosity()
     logging.set_verbosity(logging.ERROR)
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # multivariate TPE is called experimental
+            warnings.simplefilter("ignore")  # Optuna warns that multivariate TPE is experimental
             yield
     finally:
         logging.set_verbosity(level)
 
 
 def _toml(found: Tuning) -> str:
-    """``tuned.toml``: a ``[[solver]]`` table to paste, and where it comes from."""
+    """The text of ``tuned.toml``: a ``[[solver]]`` table to paste into a manifest, and comments on its origin."""
     plan, budget = found.plan, found.method.budget or {}
     spent = " and ".join(f"{value:g} {name}" for name, value in budget.items() if value is not None)
     settings = {name: value for name, value in {**plan.options, **found.best.options}.items() if value is not None}
     lines = [
         f"# {plan.solver} tuned for study {found.study.name}, formulation {found.method.formulation.label}, {spent}:",
-        f"# {len(found.trials) - 1} trials on {plan.training} training scenes a point, seed {plan.seed}.",
+        f"# {len(found.trials) - 1} trials on {plan.training} training scenes per point, seed {plan.seed}.",
         f"# {found.verdict}".replace("\u00a0", " "),
         "[[solver]]",
         f"kind = {_value(plan.solver)}",
@@ -375,5 +394,5 @@ def _value(value: Any) -> str:
     if isinstance(value, list | tuple):
         return f"[{', '.join(map(_value, value))}]"
     if isinstance(value, float):
-        return repr(value)  # inf and nan are TOML too
+        return repr(value)  # inf and nan are valid TOML
     return json.dumps(value, ensure_ascii=False)

@@ -1,4 +1,4 @@
-"""The command line as a user meets it: in a process of its own."""
+"""The command line, run in its own process as by a user."""
 
 import os
 import signal
@@ -11,7 +11,7 @@ import pytest
 from conftest import BASIC, COMMAND_ENVIRONMENT, nfbench
 
 
-def test_run_ends_with_a_table_a_sentence_and_the_paths(manifest, tmp_path):
+def test_run_prints_a_table_a_verdict_and_the_paths(manifest, tmp_path):
     done = nfbench("run", manifest(BASIC, repetitions=8), "--jobs", 1, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "8 of 8 runs" in done.stdout
@@ -24,7 +24,7 @@ def test_run_ends_with_a_table_a_sentence_and_the_paths(manifest, tmp_path):
     assert (quiet.returncode, quiet.stdout, quiet.stderr) == (0, "", "")
 
 
-def test_some_runs_not_ok_is_exit_code_1_and_told(manifest, tmp_path):
+def test_failed_runs_are_reported_with_exit_code_1(manifest, tmp_path):
     done = nfbench("run", manifest(BASIC + '[[solver]]\nkind = "raises"\n'), "--jobs", 1, cwd=tmp_path)
     assert done.returncode == 1
     assert "failed × 3: once + raises: RuntimeError: out of luck" in done.stdout
@@ -66,18 +66,18 @@ def test_wrong_usage_is_exit_code_2(arguments, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_list_and_show_tell_what_there_is(tmp_path, toy_plugin):
+def test_list_and_show_print_the_registered_plugins(tmp_path, toy_plugin):
     listed = nfbench("list", cwd=tmp_path).stdout
     assert all(name in listed for name in ("near-field", "functions", "nemo", "neef", "de", "Storn"))
     assert "near-field" not in nfbench("list", "solvers", cwd=tmp_path).stdout
     shown = nfbench("show", "solver", "sampler", "--plugin", toy_plugin, cwd=tmp_path).stdout
-    assert "Uniform samples in batches." in shown and "int >= 1" in shown
+    assert "Evaluates uniform random samples in batches." in shown and "int >= 1" in shown
 
 
 def test_a_plugin_that_fails_is_listed_with_its_error(tmp_path):
     (tmp_path / "bad.py").write_text("def broken(:")
     listed = nfbench("list", "solvers", "--plugin", "bad.py", cwd=tmp_path)
-    assert "bad.py is left out: SyntaxError" in listed.stdout and listed.returncode == 0
+    assert "bad.py could not be imported: SyntaxError" in listed.stdout and listed.returncode == 0
 
 
 def test_ctrl_c_is_exit_code_130_and_the_folder_resumes(manifest, tmp_path):
@@ -98,13 +98,13 @@ def test_ctrl_c_is_exit_code_130_and_the_folder_resumes(manifest, tmp_path):
         time.sleep(0.2)
     os.killpg(process.pid, signal.SIGINT)
     time.sleep(1)
-    assert process.poll() is None  # the run in flight goes on
+    assert process.poll() is None  # the current run continues
     os.killpg(process.pid, signal.SIGINT)
     output, errors = process.communicate(timeout=30)
     assert process.returncode == 130, errors
     assert (
-        "Ctrl-C again stops at once" in output
-        and "Interrupted with 1 runs to do" in output
+        "press Ctrl-C again to stop at once" in output
+        and "Interrupted: 1 of 2 runs are done. Run the same command to resume." in output
         and "Traceback" not in errors
     )
     assert rows.is_file()

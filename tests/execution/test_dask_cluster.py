@@ -1,4 +1,4 @@
-"""A study on a cluster comes to the same table as here, whatever becomes of its workers."""
+"""A study on a cluster gives the same table as in this process, even if workers die."""
 
 import importlib.util
 import os
@@ -26,7 +26,7 @@ LONGER = BASIC.replace("40", "8000")  # runs that last some tenths of a second
 
 
 def until(condition):
-    """What ``condition`` returns, once that is true."""
+    """Wait until the result of ``condition()`` is true, and return it."""
     end = time.monotonic() + PATIENCE
     while not (found := condition()):
         assert time.monotonic() < end
@@ -44,7 +44,7 @@ def alive(pid):
 
 
 class Dask:
-    """A scheduler and workers on loopback, started as one starts them by hand."""
+    """A scheduler and workers on the loopback interface, started by the commands that a user would type."""
 
     def __init__(self, folder):
         self.folder = folder
@@ -52,7 +52,7 @@ class Dask:
 
     def start(self, *arguments):
         command = [sys.executable, "-m", "dask", *arguments, "--host", "127.0.0.1", "--no-dashboard"]
-        # two losses of a worker are too many, so that no test waits for four
+        # dask gives up a task after two lost workers instead of four, so that tests do not wait
         environment = {**os.environ, "DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "1"}
         with (self.folder / "log").open("ab") as log:
             self.processes.append(subprocess.Popen(command, stdout=log, stderr=log, env=environment, cwd=self.folder))
@@ -67,14 +67,14 @@ class Dask:
         return self.start("worker", self.address, "--nthreads", "1", "--local-directory", str(self.folder))
 
     def end(self):
-        for process in reversed(self.processes):  # the scheduler last: workers that lose it linger
+        for process in reversed(self.processes):  # the scheduler last, because workers that lose it end slowly
             process.terminate()
             process.wait(PATIENCE)
 
 
 @pytest.fixture(scope="module")
 def dask(tmp_path_factory):
-    """A scheduler and two workers under nannies, which the tests of this file share."""
+    """A scheduler and two workers with nannies, shared by the tests of this file."""
     dask = Dask(tmp_path_factory.mktemp("dask"))
     try:
         dask.scheduler()
@@ -86,7 +86,7 @@ def dask(tmp_path_factory):
 
 
 class Watch:
-    """Calls ``act(record)`` once, at the n-th finished run."""
+    """A listener that calls ``act(record)`` once, at the n-th finished run."""
 
     def __init__(self, act, at=1):
         self.act, self.left = act, at
@@ -105,7 +105,7 @@ def run(path, out, where, **options):
     return nfbench.run(load_study(path), out=out, cluster=where, **options)
 
 
-def here(path, out, jobs=0):
+def run_locally(path, out, jobs=0):
     return nfbench.run(load_study(path), out=out, jobs=jobs)
 
 
@@ -115,10 +115,10 @@ def assert_same(one, two):
     pd.testing.assert_frame_equal(one, two, check_exact=True)
 
 
-def test_the_table_is_that_of_this_process(dask, manifest, tmp_path):
+def test_the_table_is_the_same_as_in_this_process(dask, manifest, tmp_path):
     path = manifest(BASIC + '[[formulation]]\nkind = "twice"\n[sweep]\ndimension = [2, 3]\n', repetitions=40)
     results = run(path, tmp_path / "there", dask.address)
-    assert_same(results, here(path, tmp_path / "here"))
+    assert_same(results, run_locally(path, tmp_path / "here"))
     assert results.origins.worker.nunique() == 2
 
 
@@ -131,7 +131,7 @@ def test_a_worker_that_is_killed_costs_no_row(dask, manifest, tmp_path):
         os.kill(parent(record.worker), signal.SIGKILL)
 
     results = run(path, tmp_path / "there", dask.address, listener=Watch(kill, at=5))
-    assert_same(results, here(path, tmp_path / "here"))
+    assert_same(results, run_locally(path, tmp_path / "here"))
     assert not alive(killed[0]) and results.origins.worker.nunique() >= 2
 
 
@@ -155,12 +155,12 @@ kind = "raises"
 """
 
 
-def test_what_hangs_or_crashes_is_told_as_here(dask, manifest, tmp_path):
+def test_hangs_and_crashes_are_reported_as_in_local_workers(dask, manifest, tmp_path):
     path = manifest(BASIC + BAD, repetitions=1)
     there, local = (results.runs.drop(columns=TIMES) for results in (
-        run(path, tmp_path / "there", dask.address), here(path, tmp_path / "here", jobs=2)
+        run(path, tmp_path / "there", dask.address), run_locally(path, tmp_path / "here", jobs=2)
     ))  # fmt: skip
-    for runs in (there, local):  # the plugin file lies elsewhere on a worker, and Python's traceback names it
+    for runs in (there, local):  # the plugin file has another path on a worker, and Python's traceback names it
         runs["message"] = runs.message.str.replace(r'File ".*?toy\.py".*', "", regex=True)
     pd.testing.assert_frame_equal(there, local, check_exact=True)
     assert there.status.value_counts().to_dict() == {"ok": 1, "timeout": 2, "crashed": 3, "failed": 2}
@@ -179,7 +179,7 @@ class Fatal(Solver):
 """
 
 
-def test_a_run_that_every_worker_dies_of_is_given_up(dask, manifest, tmp_path):
+def test_a_run_that_kills_every_worker_is_given_up(dask, manifest, tmp_path):
     (tmp_path / "fatal.py").write_text(FATAL)
     path = manifest(BASIC + '[[solver]]\nkind = "fatal"\n', plugins=["fatal.py"], repetitions=1)
     runs = run(path, tmp_path / "there", dask.address).runs.set_index("solver")
@@ -187,12 +187,12 @@ def test_a_run_that_every_worker_dies_of_is_given_up(dask, manifest, tmp_path):
     assert runs.message["fatal"].startswith("the cluster lost 4 workers that held this run, the last of them tcp://")
 
 
-TELLS = """
+REPORTS_PATH = """
 from dataclasses import dataclass
 from nfbench import Solver
 
 @dataclass(frozen=True)
-class Tells(Solver):
+class ReportsPath(Solver):
     def minimize(self, problem, rng):
         raise RuntimeError(__file__)
 """
@@ -200,33 +200,33 @@ class Tells(Solver):
 
 def test_a_plugin_file_need_not_exist_on_the_workers(dask, manifest, tmp_path):
     (tmp_path / "same").mkdir()
-    for file, name in (("plugin.py", "Tells"), ("same/plugin.py", "TellsToo")):
-        (tmp_path / file).write_text(TELLS.replace("Tells", name))
-    solvers = '[[solver]]\nkind = "tells"\n[[solver]]\nkind = "tells-too"\n'
+    for file, name in (("plugin.py", "ReportsPath"), ("same/plugin.py", "ReportsPathToo")):
+        (tmp_path / file).write_text(REPORTS_PATH.replace("ReportsPath", name))
+    solvers = '[[solver]]\nkind = "reports-path"\n[[solver]]\nkind = "reports-path-too"\n'
     path = manifest(BASIC + solvers, plugins=["plugin.py", "same/plugin.py"], repetitions=1)
     runs = run(path, tmp_path / "there", dask.address).runs
-    told = runs[runs.solver != "sampler"]
-    assert set(told.status) == {"failed"}
-    for message in told.message:
+    failed = runs[runs.solver != "sampler"]
+    assert set(failed.status) == {"failed"}
+    for message in failed.message:
         file = message.split()[1]
         assert file.endswith("/plugin.py") and file.startswith(str(dask.folder))
-        until(lambda file=file: not Path(file).exists())  # and nothing is left there
+        until(lambda file=file: not Path(file).exists())  # the file is removed afterwards
 
 
-def test_an_interrupt_leaves_a_folder_that_goes_on(dask, manifest, tmp_path):
+def test_an_interrupted_study_can_be_resumed(dask, manifest, tmp_path):
     path = manifest(LONGER, repetitions=60)
     with pytest.raises(KeyboardInterrupt):
         run(path, tmp_path / "out", dask.address, listener=Watch(lambda _: os.kill(os.getpid(), signal.SIGINT)))
     counts = nfbench.Results(tmp_path / "out").counts
     assert counts["ok"] >= 1 and counts["open"] >= 10 and set(counts) == {"ok", "open"}
-    assert_same(run(path, tmp_path / "out", dask.address), here(path, tmp_path / "here"))
+    assert_same(run(path, tmp_path / "out", dask.address), run_locally(path, tmp_path / "here"))
 
 
-def test_once_told_to_stop_it_begins_no_further_run(dask, manifest):
+def test_no_run_is_started_after_a_request_to_stop(dask, manifest):
     study = load_study(manifest(BASIC, repetitions=5000))
-    specs, told = study.specs(), threading.Event()
-    for _ in cluster.run_on_cluster(specs, study.plugins, dask.address, told.is_set):
-        told.set()
+    specs, stop = study.specs(), threading.Event()
+    for _ in cluster.run_on_cluster(specs, study.plugins, dask.address, stop.is_set):
+        stop.set()
     assert len(list(specs)) > 4000
 
 
@@ -238,12 +238,15 @@ def test_a_closed_engine_leaves_nothing_running(dask, manifest):
     until(lambda: not alive(record.worker))
 
 
-def test_a_lost_scheduler_is_told_and_finished_rows_stay(manifest, tmp_path):
+def test_a_lost_scheduler_is_an_error_and_finished_rows_are_kept(manifest, tmp_path):
     dask = Dask(tmp_path)
     try:
         dask.scheduler()
         dask.worker()
-        with pytest.raises(NfbenchError, match=r"lost the dask scheduler at tcp://.*finished rows are kept"):
+        with pytest.raises(
+            NfbenchError,
+            match=r"lost the dask scheduler at tcp://.*finished rows are kept, run the same command to resume",
+        ):
             kill = Watch(lambda _: dask.processes[0].kill())
             run(manifest(LONGER, repetitions=200), tmp_path / "out", dask.address, listener=kill)
         assert nfbench.Results(tmp_path / "out").counts["ok"] >= 1
@@ -251,10 +254,10 @@ def test_a_lost_scheduler_is_told_and_finished_rows_stay(manifest, tmp_path):
         dask.end()
 
 
-def test_an_address_where_nobody_answers_is_told(manifest, tmp_path, monkeypatch):
+def test_an_address_where_no_scheduler_answers_is_an_error(manifest, tmp_path, monkeypatch):
     monkeypatch.setattr(cluster, "CONNECT", 0.5)
     for address in ("tcp://127.0.0.1:1", "nonsense", "ftp://127.0.0.1:21"):
-        with pytest.raises(NfbenchError, match=f"no dask scheduler answers at '{address}'.*expected an address such"):
+        with pytest.raises(NfbenchError, match=f"no dask scheduler answered at '{address}'.*expected an address such"):
             run(manifest(BASIC), tmp_path / "out", address)
     for address in ("local:", "local:two", "local:0", "local:-1"):
         with pytest.raises(NfbenchError, match=f"expected local:N with N >= 1 .* got '{address}'"):
@@ -263,33 +266,39 @@ def test_an_address_where_nobody_answers_is_told(manifest, tmp_path, monkeypatch
 
 def test_another_version_on_the_cluster_is_refused(dask, manifest, tmp_path, monkeypatch):
     monkeypatch.setattr(cluster, "VERSION", "99.0")
-    with pytest.raises(NfbenchError, match=r"the scheduler has nfbench \d.*started with 99\.0; install the same"):
+    with pytest.raises(
+        NfbenchError, match=r"the scheduler has nfbench \d.*but the study was started with 99\.0; install the same"
+    ):
         run(manifest(BASIC), tmp_path / "out", dask.address)
     monkeypatch.setattr(cluster, "_refuse_other_versions", lambda client: None)  # as with a worker that joins later
-    with pytest.raises(NfbenchError, match=r"worker tcp://\S+ has nfbench \d.*started with 99\.0; install the same"):
+    with pytest.raises(
+        NfbenchError, match=r"worker tcp://\S+ has nfbench \d.*but the study was started with 99\.0; install the same"
+    ):
         run(manifest(BASIC), tmp_path / "out", dask.address)
 
 
-def test_a_machine_that_cannot_make_runs_is_named(dask, manifest, tmp_path):
-    dies = "import os\nif 'dask' in __file__:\n    os._exit(3)\n" + TELLS
+def test_a_machine_that_cannot_execute_runs_is_named(dask, manifest, tmp_path):
+    dies = "import os\nif 'dask' in __file__:\n    os._exit(3)\n" + REPORTS_PATH
     (tmp_path / "dies.py").write_text(dies)
-    with pytest.raises(NfbenchError, match=r"worker tcp://\S+ on \S+ cannot take runs: worker processes cannot start"):
+    with pytest.raises(
+        NfbenchError, match=r"worker tcp://\S+ on \S+ cannot execute runs: worker processes cannot start"
+    ):
         run(manifest(BASIC, plugins=["dies.py"]), tmp_path / "out", dask.address)
 
 
-def test_without_dask_the_way_to_it_is_told(monkeypatch):
+def test_without_dask_the_error_names_the_command_that_installs_it(monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
     spec = importlib.util.spec_from_file_location("nfbench.execution.cluster_without_dask", cluster.__file__)
     with pytest.raises(NfbenchError, match=r"pip install 'nfbench\[dask\]'"):
         spec.loader.exec_module(importlib.util.module_from_spec(spec))
 
 
-def test_the_command_line_starts_a_cluster_of_its_own_in_silence(manifest, tmp_path):
+def test_the_command_line_starts_its_own_cluster_and_prints_nothing(manifest, tmp_path):
     path = manifest(BASIC, repetitions=20)
     command = [sys.executable, "-m", "nfbench", "run", str(path), "--out", str(tmp_path / "there"), "--quiet"]
     done = subprocess.run([*command, "--cluster", "local:2"], capture_output=True, text=True, timeout=PATIENCE)
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
-    assert_same(nfbench.Results(tmp_path / "there"), here(path, tmp_path / "here"))
+    assert_same(nfbench.Results(tmp_path / "there"), run_locally(path, tmp_path / "here"))
 
 
 @pytest.mark.parametrize(
@@ -303,5 +312,5 @@ def test_the_command_line_starts_a_cluster_of_its_own_in_silence(manifest, tmp_p
     ],
 )
 def test_contradicting_options_are_a_usage_error(manifest, tmp_path, options):
-    done = CliRunner().invoke(cli.app, ["run", str(manifest(BASIC)), "--out", str(tmp_path / "out"), *options])
+    done = CliRunner().invoke(cli, ["run", str(manifest(BASIC)), "--out", str(tmp_path / "out"), *options])
     assert done.exit_code == 2 and not (tmp_path / "out").exists()

@@ -1,4 +1,4 @@
-"""Nothing spoils a study: not its solvers, not the death of its workers, not its own."""
+"""No hostile solver, killed worker or killed parent process damages a study."""
 
 import os
 import random
@@ -46,7 +46,7 @@ def assert_same(one, two):
 
 
 def assert_whole(results, rows):
-    """No row twice, none missing, the file in order."""
+    """Check that no row is missing or duplicated, and that the file is intact."""
     runs = results.runs
     assert len(runs) == runs.run_id.nunique() == rows and "open" not in results.counts
     with sqlite3.connect(results.folder / "runs.sqlite") as db:
@@ -101,14 +101,14 @@ def test_every_hostile_solver_costs_only_its_own_rows(manifest, tmp_path):
 def test_a_worker_that_grows_is_replaced_and_no_run_is_lost(manifest, tmp_path, monkeypatch):
     monkeypatch.setattr(isolation, "GROWTH_MB", 100.0)
     path = manifest(BASIC.replace('"sampler"', '"keeps"'), repetitions=12)
-    results = run(path, tmp_path / "out", jobs=1)  # 32 MiB a run: the first is not counted, the fifth is the last
+    results = run(path, tmp_path / "out", jobs=1)  # 32 MiB per run: the first is not counted, the fifth is the last
     assert set(results.runs.status) == {"ok"} and len(results.runs) == 12
     assert results.origins.groupby("worker").size().tolist() == [5, 5, 2]
     monkeypatch.setattr(isolation, "GROWTH_MB", 1000.0)
     assert run(path, tmp_path / "other", jobs=1).origins.worker.nunique() == 1
 
 
-def test_a_dead_workers_last_words_are_in_the_message(manifest, tmp_path):
+def test_the_last_output_of_a_dead_worker_is_in_the_message(manifest, tmp_path):
     results = run(manifest(BASIC.replace('"sampler"', '"segfaults"'), repetitions=1), tmp_path / "out")
     (message,) = results.runs.message
     assert "toy.py" in message and "minimize" in message and len(message) < 600
@@ -118,7 +118,7 @@ def test_a_run_is_stopped_within_a_second_of_its_timeout(manifest, tmp_path):
     path = manifest(BASIC.replace('"sampler"', '"spins"') + "run_timeout_s = 1.0\n", repetitions=3)
     origins = run(path, tmp_path / "out", jobs=1).origins
     gaps = origins.finished.diff().dt.total_seconds().dropna()
-    # one after another: each its second, under one more until it is dead, and the start of a new worker
+    # each run takes one second, less than one more until it is dead, and the start of a new worker
     assert (gaps > 1.0).all() and (gaps < 5.0).all()
 
 
@@ -134,7 +134,7 @@ evaluations = 40
 
 @pytest.fixture
 def dawdling(manifest, tmp_path):
-    """A study of runs that take a while, and its table when nothing disturbs it."""
+    """A study of runs that take a while, and its results when nothing disturbs it."""
     (tmp_path / "dawdler.py").write_text(
         "import time\nfrom dataclasses import dataclass\nfrom nfbench import Solver\n\n"
         "@dataclass(frozen=True)\nclass Dawdles(Solver):\n    def minimize(self, problem, rng):\n"
@@ -208,7 +208,7 @@ def test_killing_20_random_workers_costs_only_their_runs(dawdling, tmp_path):
         workers_killed(dawdling, tmp_path / f"out-{seed}", times=4, seed=seed)
 
 
-def test_a_second_writer_is_refused_and_the_first_not_disturbed(dawdling, tmp_path):
+def test_a_second_writer_is_refused_and_does_not_disturb_the_first(dawdling, tmp_path):
     path, undisturbed = dawdling
     out = tmp_path / "out"
     first = start(path, out)
@@ -216,21 +216,21 @@ def test_a_second_writer_is_refused_and_the_first_not_disturbed(dawdling, tmp_pa
         time.sleep(0.02)
     second = start(path, out)
     _, errors = second.communicate(timeout=60)
-    assert second.returncode == 2 and "another nfbench is writing here" in errors
+    assert second.returncode == 2 and "another nfbench process is writing to this folder" in errors
     first.communicate(timeout=120)
     assert first.returncode == 0
     assert_same(nfbench.Results(out), undisturbed)
 
 
 def finished(folder):
-    """Runs that are ok so far, also in a folder that is just being made."""
+    """Number of runs that are ok so far; 0 if the folder is still being created."""
     try:
         return nfbench.Results(folder).counts.get("ok", 0)
     except StoreError:
         return 0
 
 
-def test_sigterm_finishes_what_runs_and_the_folder_resumes(dawdling, tmp_path):
+def test_sigterm_finishes_the_current_runs_and_the_study_resumes(dawdling, tmp_path):
     path, undisturbed = dawdling
     process = start(path, tmp_path / "out")
     while not finished(tmp_path / "out"):
@@ -250,7 +250,7 @@ def test_any_number_of_workers_gives_the_same_table(dawdling, tmp_path, jobs):
     assert_same(run(path, tmp_path / "out", jobs=jobs), undisturbed)
 
 
-def test_a_script_without_a_main_guard_is_told_and_loses_nothing(dawdling, tmp_path):
+def test_a_script_without_a_main_guard_is_an_error_and_loses_no_run(dawdling, tmp_path):
     path, _ = dawdling
     script = tmp_path / "script.py"
     script.write_text(f"import nfbench\nnfbench.run(nfbench.load_study({str(path)!r}), out='out', jobs=2)\n")
@@ -260,7 +260,7 @@ def test_a_script_without_a_main_guard_is_told_and_loses_nothing(dawdling, tmp_p
     assert nfbench.Results(tmp_path / "out").counts == {"open": 80}
 
 
-def test_where_a_process_cannot_be_started_every_run_is_told_also_those_in_flight(manifest, monkeypatch):
+def test_if_no_process_can_start_every_run_fails_even_those_in_flight(manifest, monkeypatch):
     study = load_study(manifest(BASIC.replace('"sampler"', '"sleeps"')))
     first, second, third = study.specs()
     with ProcessPool(study.plugins, jobs=2) as workers:

@@ -1,4 +1,4 @@
-"""A study runs, resumes, and gives the same table on any number of workers, whatever its plugins do."""
+"""A study runs, resumes, and gives the same table with any number of workers, even if plugins misbehave."""
 
 import json
 import sqlite3
@@ -41,7 +41,7 @@ def test_every_run_is_a_row_with_the_public_columns(manifest, tmp_path):
     assert (runs.study == "toy").all() and (runs.scenario == "toy").all()
 
 
-def test_two_runs_of_one_study_are_identical_but_for_times(manifest, tmp_path):
+def test_two_runs_of_one_study_are_identical_except_for_times(manifest, tmp_path):
     first, second = (run(manifest(SWEPT), tmp_path / name) for name in "ab")
     pd.testing.assert_frame_equal(table(first), table(second), check_exact=True)
     pd.testing.assert_frame_equal(
@@ -51,8 +51,8 @@ def test_two_runs_of_one_study_are_identical_but_for_times(manifest, tmp_path):
 
 
 def test_worker_processes_give_the_same_table(manifest, tmp_path):
-    here, there = run(manifest(SWEPT), tmp_path / "a"), run(manifest(SWEPT), tmp_path / "b", jobs=2)
-    pd.testing.assert_frame_equal(table(here), table(there), check_exact=True)
+    first, second = run(manifest(SWEPT), tmp_path / "a"), run(manifest(SWEPT), tmp_path / "b", jobs=2)
+    pd.testing.assert_frame_equal(table(first), table(second), check_exact=True)
 
 
 def test_adding_a_solver_leaves_the_others_rows_identical(manifest, tmp_path):
@@ -64,7 +64,7 @@ def test_adding_a_solver_leaves_the_others_rows_identical(manifest, tmp_path):
 def test_running_again_resumes_and_computes_only_what_is_missing(manifest, tmp_path):
     first = run(manifest(BASIC), tmp_path / "out").runs
     again = run(manifest(BASIC), tmp_path / "out").runs
-    pd.testing.assert_frame_equal(first, again, check_exact=True)  # times too: nothing was run
+    pd.testing.assert_frame_equal(first, again, check_exact=True)  # times are equal, too: nothing was run
     extended = run(manifest(BASIC, repetitions=5), tmp_path / "out").runs
     assert len(extended) == 5
     pd.testing.assert_frame_equal(extended.head(3), first, check_exact=True)
@@ -82,7 +82,7 @@ def test_a_table_that_was_deleted_is_written_again(manifest, tmp_path):
         assert [path.read_text() for path in tables] == before
 
 
-def test_an_interrupted_study_keeps_its_rows_and_goes_on(manifest, tmp_path):
+def test_an_interrupted_study_keeps_its_rows_and_resumes(manifest, tmp_path):
     class Stop:
         def begin(self, total, done): ...
 
@@ -119,7 +119,7 @@ kind = "not-a-number"
 """
 
 
-def test_what_goes_wrong_is_a_row_and_the_rest_finishes(manifest, tmp_path):
+def test_every_failure_is_a_row_and_the_other_runs_finish(manifest, tmp_path):
     good = table(run(manifest(BASIC), tmp_path / "good"))
     (tmp_path / "bad.py").write_text("def broken(:")
     results = run(manifest(BASIC + BAD, plugins=["bad.py"]), tmp_path / "out")
@@ -133,7 +133,7 @@ def test_what_goes_wrong_is_a_row_and_the_rest_finishes(manifest, tmp_path):
         "once + exits": ("failed", "SystemExit: 3"),
         "once + missing": ("failed", "unknown solver 'missing'"),
         "wrong-shape": ("invalid", "estimate: expected (2,), got (7,)"),
-        "not-a-number": ("invalid", "rmse_m of the estimate is not a number"),
+        "not-a-number": ("invalid", "rmse_m of the estimate is NaN"),
     }
     assert set(runs.index) == set(expected)
     for method, (status, message) in expected.items():
@@ -158,7 +158,7 @@ def test_a_crash_and_a_hang_cost_only_their_own_rows(manifest, tmp_path):
     pd.testing.assert_frame_equal(kept, good, check_exact=True)
 
 
-def test_failed_runs_are_made_again_only_when_asked(manifest, tmp_path):
+def test_failed_runs_are_repeated_only_on_request(manifest, tmp_path):
     path = manifest(BASIC + '[[solver]]\nkind = "raises"\n')
     first = run(path, tmp_path / "out").runs
     pd.testing.assert_frame_equal(run(path, tmp_path / "out").runs, first, check_exact=True)
@@ -169,14 +169,14 @@ def test_failed_runs_are_made_again_only_when_asked(manifest, tmp_path):
 
 def test_a_folder_of_another_study_is_refused_and_fresh_moves_it_aside(manifest, tmp_path):
     run(manifest(BASIC), tmp_path / "out")
-    with pytest.raises(StoreError, match="seed is '1' there, '2' was asked for"):
+    with pytest.raises(StoreError, match="expected seed = '2', found '1'"):
         run(manifest(BASIC, seed=2), tmp_path / "out")
     run(manifest(BASIC, seed=2), tmp_path / "out", fresh=True)
     (old,) = tmp_path.glob("out.2*")
     assert nfbench.Results(old).meta["seed"] == "1"
 
 
-def test_the_environment_says_where_the_numbers_came_from(manifest, tmp_path):
+def test_the_environment_describes_how_the_results_were_computed(manifest, tmp_path):
     run(manifest(BASIC), tmp_path / "out")
     environment = json.loads((tmp_path / "out" / "environment.json").read_text())
     assert environment["versions"]["numpy"] == np.__version__
@@ -189,7 +189,7 @@ def test_the_environment_says_where_the_numbers_came_from(manifest, tmp_path):
     assert again["earlier"] == [{key: value for key, value in environment.items() if key != "earlier"}]
 
 
-def test_a_folder_without_results_or_with_a_spoilt_file_is_told(tmp_path, manifest):
+def test_a_folder_without_results_or_with_an_invalid_file_is_an_error(tmp_path, manifest):
     with pytest.raises(StoreError, match=r"expected a results folder with runs\.sqlite, found none"):
         nfbench.Results(tmp_path).runs  # noqa: B018
     (tmp_path / "runs.sqlite").write_bytes(b"no database at all, but long enough to be looked at" * 100)
@@ -197,7 +197,7 @@ def test_a_folder_without_results_or_with_a_spoilt_file_is_told(tmp_path, manife
         run(manifest(BASIC), tmp_path)
 
 
-def test_a_folder_that_cannot_be_made_is_told(manifest, tmp_path):
+def test_a_folder_that_cannot_be_created_is_an_error(manifest, tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(StoreError, match=r"file/out: Not a directory"):
         run(manifest(BASIC), tmp_path / "file" / "out")

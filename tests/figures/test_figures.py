@@ -1,4 +1,4 @@
-"""Figures against the tables that they are made from, and the same bytes every time."""
+"""Figures show the tables that they are made from, and have the same bytes every time."""
 
 import dataclasses
 import itertools
@@ -66,7 +66,7 @@ evaluations = 50
 
 @pytest.fixture
 def study(manifest, tmp_path):
-    """Runs the toy study with this [sweep], in a folder of its own."""
+    """A function that runs the toy study with this [sweep] in its own folder."""
 
     def run(sweep="", *, repetitions=8, extra=TOY):
         path = manifest(f"{extra}\n{f'[sweep]{chr(10)}{sweep}' if sweep else ''}", repetitions=repetitions)
@@ -77,7 +77,7 @@ def study(manifest, tmp_path):
 
 @pytest.fixture
 def field(tmp_path):
-    """Runs a small near-field study, 2D or 3D."""
+    """A function that runs a small near-field study in 2D or 3D."""
 
     def run(three=False):
         text = FIELD.replace("KIND", "upa" if three else "ula")
@@ -94,13 +94,13 @@ def drawings(results, **how):
 
 
 def line(ax, label):
-    """The data of the line of that label, without the gap before ∞."""
+    """The data of the line with that label, without the gap before ∞."""
     (found,) = [found for found in ax.lines if found.get_label() == label]
     x, y = np.array(found.get_xdata(), dtype=float), np.array(found.get_ydata(), dtype=float)
     return x[~np.isnan(y)].tolist(), y[~np.isnan(y)].tolist()
 
 
-def test_lines_are_the_summary_with_its_intervals(study):
+def test_lines_show_the_summary_with_its_intervals(study):
     results = study("noise = [0.0, 0.25, 1.0]\n")
     rmse, median, far = drawings(results)["error"].axes
     summary = results.summary()
@@ -119,7 +119,7 @@ def test_lines_are_the_summary_with_its_intervals(study):
             assert {(x, round(y, 9)) for x, y in zip([0.0, 0.25, 1.0], rows[end], strict=True)} <= edges
 
 
-def test_the_interval_of_the_median_covers_it_as_often_as_it_says():
+def test_the_interval_of_the_median_has_the_stated_coverage():
     rng = np.random.default_rng(3)
     inside = [low <= 0 <= high for low, high in (median_interval(rng.normal(size=25)) for _ in range(2000))]
     exact = 1 - 2 * binom.cdf(7, 25, 0.5)  # between the 8th and the 18th of 25
@@ -130,7 +130,7 @@ def test_the_interval_of_the_median_covers_it_as_often_as_it_says():
 
 @pytest.mark.parametrize("known", [(), ("crb_m",), ("crb_m", "floor_m")])
 @pytest.mark.parametrize("sweep", ["", "noise = [0.0, 0.25, 1.0]\n", 'names = [["a"], ["b", "c"]]\n'])
-def test_bounds_are_drawn_where_the_summary_knows_them(study, known, sweep):
+def test_bounds_are_drawn_if_the_summary_has_them(study, known, sweep):
     seen = drawn(study(sweep))
     points = seen.table["method"].eq(seen.methods[0]).sum()
     bound = np.repeat(0.01 * np.arange(1.0, points + 1), 4)
@@ -154,7 +154,7 @@ def test_bounds_are_drawn_where_the_summary_knows_them(study, known, sweep):
     assert ("Cramér–Rao bound" in legend, "Error floor" in legend) == ("crb_m" in known, "floor_m" in known)
 
 
-def test_without_a_sweep_methods_stand_below_each_other_the_best_on_top(study):
+def test_without_a_sweep_methods_are_listed_with_the_best_on_top(study):
     results = study()
     rmse, median, *_ = drawings(results)["error"].axes
     summary = results.summary().sort_values("rmse_m")
@@ -168,7 +168,7 @@ def test_without_a_sweep_methods_stand_below_each_other_the_best_on_top(study):
     assert list(rmse.get_yticks()) == sorted(rmse.get_yticks(), reverse=True)
 
 
-def test_run_time_stands_against_error(study):
+def test_run_time_is_drawn_against_error(study):
     results = study("noise = [0.0, 0.25]\n")
     panels = drawings(results)["runtime"].axes
     assert [ax.get_title("left") for ax in panels] == ["Noise = 0", "Noise = 0.25"]
@@ -179,7 +179,7 @@ def test_run_time_stands_against_error(study):
     assert [ax.get_title("left") for ax in long] == [f"Noise = {x}" for x in ("0", "0.2", "0.4", "0.6")]
 
 
-def test_a_second_key_gives_panels_and_many_values_files(study):
+def test_a_second_key_gives_panels_or_files_if_it_has_many_values(study):
     results = study("dimension = [1, 2, 3]\nnoise = [0.0, 0.5]\n", repetitions=2)
     (figure,) = [figure for stem, figure in drawings(results).items() if stem.startswith("error")]
     headings = [ax.get_title("left") for ax in figure.axes]
@@ -201,7 +201,7 @@ def test_a_second_key_gives_panels_and_many_values_files(study):
     assert len(looks) == 4  # a method looks the same in every panel and file
 
 
-def test_categories_are_rows_with_a_dot_a_method(study):
+def test_categories_are_rows_with_one_dot_per_method(study):
     results = study('names = [["a"], ["b", "c"]]\n')
     rmse = drawings(results)["error"].axes[0]
     assert [text.get_text() for text in rmse.get_yticklabels()] == ["a", "b, c"]
@@ -209,7 +209,7 @@ def test_categories_are_rows_with_a_dot_a_method(study):
     assert sorted(drawn_) == pytest.approx(sorted(results.summary()["rmse_m"]))
 
 
-def test_infinity_stands_apart_from_the_numbers():
+def test_infinity_is_set_apart_from_the_numbers():
     at = places("rician_k", [1.0, 10.0, math.inf, 100.0])
     assert at.log and at.of == {1.0: 1.0, 10.0: 10.0, 100.0: 100.0, math.inf: 1000.0} and at.beyond == 1000.0
     assert not places("snr_db", [1.0, 10.0, 100.0]).log and not places("sources", list(range(1, 12))).log
@@ -299,15 +299,15 @@ def test_a_perfect_score_is_drawn_at_zero(study):
 def test_methods_that_fail_are_named(study):
     results = study("noise = [0.0, 0.5]\n", extra=TOY + '[[solver]]\nkind = "raises"\n', repetitions=1)
     legend = drawings(results)["error"].legends[0]
-    assert "once + raises (no run ok)" in [text.get_text() for text in legend.get_texts()]
+    assert "once + raises (no successful run)" in [text.get_text() for text in legend.get_texts()]
 
 
 @pytest.mark.parametrize("three", [False, True])
-def test_positions_link_the_truth_and_its_estimates(field, three):
+def test_positions_link_the_truth_to_its_estimates(field, three):
     results = field(three)
     figure = drawings(results, positions=True)["positions"]
     axes = [ax for ax in figure.axes if ax.get_visible()]
-    assert len(axes) == (4 if three else 2)  # sources, and views in 3D
+    assert len(axes) == (4 if three else 2)  # one per source, and two views in 3D
     assert [ax.get_ylabel() for ax in axes[::2]] == (["y [m]", "z [m]"] if three else ["y [m]"])
     top, below = axes[:2], axes[2:]
     runs = results.runs
@@ -330,13 +330,13 @@ def test_positions_of_other_instances_are_refused(field):
     path.write_text(path.read_text().replace("range_m = [0.1, 0.5]", "range_m = [0.1, 0.6]"))
     with pytest.raises(NfbenchError, match="positions cannot be redrawn: rmse_m of run"):
         drawings(results, positions=True)
-    told = []
+    warnings = []
     with styled():
-        stems = [stem for stem, _ in figures(results, Drawing(), told.append)]
-    assert stems == ["error", "runtime"] and told[0].startswith("positions are not drawn: positions cannot be")
+        stems = [stem for stem, _ in figures(results, Drawing(), warnings.append)]
+    assert stems == ["error", "runtime"] and warnings[0].startswith("positions are not drawn: positions cannot be")
 
 
-def test_positions_of_instances_without_places_are_an_error_only_when_asked_for(study):
+def test_instances_without_positions_are_an_error_only_if_positions_are_requested(study):
     results = study()
     assert "positions" not in drawings(results)
     with pytest.raises(NfbenchError, match="the scenario's instances have none"):
@@ -391,20 +391,20 @@ def test_wrong_use_is_exit_code_2_with_a_message(study, tmp_path, monkeypatch, c
         ([results.folder, "--format", "svg,eps"], "expected svg, pdf, png, got 'eps'"),
         ([results.folder, "--width", "triple"], "'triple' is not one of"),
         ([results.folder, "--out", results.folder / "runs.csv"], "runs.csv"),
-        ([results.folder, "--positions"], "no positions to draw"),
+        ([results.folder, "--positions"], "positions cannot be drawn: the scenario's instances have none"),
     ):
-        code, told = figure(*arguments)
-        assert code == 2 and message in told, told
+        code, errors = figure(*arguments)
+        assert code == 2 and message in errors, errors
     with Store(results.folder, write=True) as store:
         store._db.execute("DELETE FROM results WHERE run_id = ?", [results.runs["run_id"][0]])
         store._db.commit()
-    code, told = figure(results.folder, "--out", tmp_path / "drawn")
+    code, errors = figure(results.folder, "--out", tmp_path / "drawn")
     assert code == 0 and (tmp_path / "drawn" / "error.svg").is_file()
-    assert told == "nfbench: unfinished: 1 of 8 runs are still to do; the figures show the others\n"
+    assert errors == "nfbench: the study is unfinished; the figures show 7 of 8 runs\n"
     with Store(results.folder, write=True) as store:
         store.forget(["ok"])
-    code, told = figure(results.folder)
-    assert code == 2 and "nothing to draw: no run is finished yet" in told
+    code, errors = figure(results.folder)
+    assert code == 2 and "nothing to draw: no run has finished yet" in errors
 
 
 def test_the_command_line_does_not_import_matplotlib():

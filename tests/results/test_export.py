@@ -1,4 +1,4 @@
-"""Exports against the traces they are made from, and against what IOHprofiler itself writes."""
+"""Exports match the traces they are made from, and the files that IOHprofiler itself writes."""
 
 import json
 import sys
@@ -43,12 +43,12 @@ noise = [0.0, 0.5]
 
 @pytest.fixture
 def several(manifest, tmp_path):
-    """Two problems a run of ``twice``, two dimensions, a solver that fails, and a method that minimizes nothing."""
+    """A study with two problems per run of ``twice``, two dimensions, a failing solver, and a method without one."""
     return nfbench.run(load_study(manifest(SEVERAL, repetitions=2)), out=tmp_path / "out", jobs=0)
 
 
 def written(manifest, folder, records, extra=BASIC, **options):
-    """A folder with these records, which are (status, traces), as its first runs."""
+    """The results of a folder whose first runs have these records, given as (status, traces)."""
     study = load_study(manifest(extra, **options))
     folder.mkdir()
     with Store(folder, write=True) as store:
@@ -67,7 +67,7 @@ def trace(*rows):
 
 
 def read_ioh(folder):
-    """Every row of a folder in IOHprofiler's format, told apart as its readers do: a run begins at evaluation 1."""
+    """Every row of a folder in IOHprofiler's format. As in its readers, a run begins at evaluation 1."""
     rows = []
     for path in sorted(folder.glob("**/*.json")):
         head = json.loads(path.read_text())
@@ -88,13 +88,13 @@ def read_ioh(folder):
     return pd.DataFrame(rows)
 
 
-def test_the_files_are_as_ioh_writes_them(manifest, tmp_path):
+def test_the_files_have_the_structure_of_those_of_ioh(manifest, tmp_path):
     # the structure of examples/SO_Data/HC in github.com/IOHprofiler/IOHinspector
     first = trace((1, 3.5, 0.25), (4, 1e-12, -0.5), (9, 1e-12, -0.5))
     second = trace((1, -2.0, 1.0))
     results = written(manifest, tmp_path / "out", [(Status.OK, (first,)), (Status.OK, (second,))], repetitions=2)
-    told = str(export_ioh(results))
-    assert told == f"{tmp_path}/out/export-ioh: 2 of 2 runs"
+    text = str(export_ioh(results))
+    assert text == f"{tmp_path}/out/export-ioh: 2 of 2 runs"
     folder = tmp_path / "out" / "export-ioh" / "once_+_sampler"
     data = folder / "data_f1_once_problem_0" / "IOHprofiler_f1_DIM1.dat"
     assert data.read_text() == "evaluations raw_y\n1 3.5\n4 1e-12\n9 1e-12\nevaluations raw_y\n1 -2.0\n"
@@ -132,7 +132,7 @@ class Sphere(Problem):
         return (X**2).sum(axis=1)
 
 
-def test_iohs_own_logger_writes_the_same_of_the_same_evaluations(manifest, tmp_path):
+def test_iohs_own_logger_writes_the_same_for_the_same_evaluations(manifest, tmp_path):
     ioh = pytest.importorskip("ioh")
     logger = ioh.logger.Analyzer(root=str(tmp_path), folder_name="theirs", algorithm_name="once + sampler")
     logger.add_experiment_attribute("problem", "0")
@@ -163,13 +163,15 @@ def test_iohs_own_logger_writes_the_same_of_the_same_evaluations(manifest, tmp_p
     assert lines[0] == their_lines[0] and len(lines) == len(their_lines)
     for line, their_line in zip(lines, their_lines, strict=True):
         assert line.split(" ")[0] == their_line.split(" ")[0]
-        if not line.startswith(("30 ", "e")) and line:  # the last evaluation's own value there, the best so far here
+        if (
+            not line.startswith(("30 ", "e")) and line
+        ):  # ioh writes the last evaluation's own value, we write the best so far
             assert float(line.split(" ")[1]) == pytest.approx(float(their_line.split(" ")[1]), abs=1e-10)
 
 
-def test_every_problem_of_every_run_is_there_and_the_others_are_counted(several):
-    told = str(export_ioh(several))
-    assert told.endswith("export-ioh: 16 of 40 runs; left out: 16 failed, 4 skipped, 4 without a trace")
+def test_every_problem_of_every_ok_run_is_exported_and_other_runs_are_counted(several):
+    text = str(export_ioh(several))
+    assert text.endswith("export-ioh: 16 of 40 runs; left out: 16 failed, 4 skipped, 4 without a trace")
     found = read_ioh(several.folder / "export-ioh")
     runs = several.runs.set_index("run_id").drop(columns="evaluations")
     traces = several.traces.join(runs, on="run_id").query("status == 'ok'")
@@ -183,24 +185,24 @@ def test_every_problem_of_every_run_is_there_and_the_others_are_counted(several)
     best = traces.groupby(["method", "scenario.dimension", "scenario.noise", "problem", "repetition"])["value"].min()
     assert sorted(run["best"]["y"] for run in found["best"].drop_duplicates()) == sorted(best)
     what = found.groupby("function")[["formulation", "scenario.dimension", "scenario.noise", "problem"]].nunique()
-    assert len(what) == 12 and (what == 1).all(axis=None)  # 4 points of one problem and of two
+    assert len(what) == 12 and (what == 1).all(axis=None)  # 4 scenario points, with one problem and with two
 
 
-def test_what_the_format_cannot_say_is_left_out_and_counted(manifest, tmp_path):
+def test_runs_that_the_format_cannot_represent_are_left_out_and_counted(manifest, tmp_path):
     fine, late = trace((1, 2.0, 0.0), (5, 1.0, 0.5)), trace((1, np.inf, 0.0), (3, 1.0, 0.5))
     records = [(Status.OK, (fine,)), (Status.OK, (fine, late)), (Status.TIMEOUT, (fine,)), (Status.OK, ())]
     results = written(manifest, tmp_path / "out", records, repetitions=7)
-    told = str(export_ioh(results)).partition(": ")[2]
-    assert told == "1 of 7 runs; left out: 1 not finite at first, 1 timeout, 1 without a trace, 3 open"
+    text = str(export_ioh(results)).partition(": ")[2]
+    assert text == "1 of 7 runs; left out: 1 with a non-finite first value, 1 timeout, 1 without a trace, 3 open"
     assert read_ioh(tmp_path / "out" / "export-ioh").value.tolist() == [2.0, 1.0]
-    told = str(export_csv(results)).partition(": ")[2]
-    assert told == "3 of 7 runs; left out: 1 without a trace, 3 open"
+    text = str(export_csv(results)).partition(": ")[2]
+    assert text == "3 of 7 runs; left out: 1 without a trace, 3 open"
     table = pd.read_csv(tmp_path / "out" / "traces.csv")
     assert table.value.tolist() == [2.0, 1.0, 2.0, 1.0, np.inf, 1.0, 2.0, 1.0]
     assert table.status.tolist() == ["ok"] * 6 + ["timeout"] * 2
 
 
-def test_labels_that_differ_only_in_what_no_file_may_have_stay_apart(manifest, tmp_path):
+def test_labels_that_differ_only_in_invalid_file_name_characters_stay_distinct(manifest, tmp_path):
     labels = ["a/b: β", "a b", "A\\B", "../..", "…", "x" * 300]
     extra = "[budget]\nevaluations = 10\n" + "".join(
         f"[[method]]\nformulation = 'once'\nsolver = {{ kind = 'sampler', batch = {i + 1} }}\nlabel = '{label}'\n"
@@ -216,7 +218,7 @@ def test_labels_that_differ_only_in_what_no_file_may_have_stay_apart(manifest, t
     assert found == dict(zip(names, labels, strict=True))
 
 
-def test_the_table_is_the_traces_with_what_they_belong_to(several, monkeypatch):
+def test_the_table_has_the_traces_with_the_keys_of_their_runs(several, monkeypatch):
     export_csv(several)
     whole = (several.folder / "traces.csv").read_bytes()
     table = pd.read_csv(several.folder / "traces.csv")
@@ -240,17 +242,17 @@ def test_traces_are_unpacked_one_run_at_a_time(several, monkeypatch):
         assert len(unpacked) == 2
 
 
-def test_text_and_lists_that_were_swept_are_kept(manifest, tmp_path):
+def test_swept_text_and_lists_are_kept(manifest, tmp_path):
     extra = BASIC + '[sweep]\nnames = [["a,b", "c"], ["10"]]\n'
     results = nfbench.run(load_study(manifest(extra, repetitions=1)), out=tmp_path / "out", jobs=0)
     export_csv(results), export_ioh(results)
     swept = ['["a,b", "c"]', '["10"]']
     assert pd.read_csv(tmp_path / "out" / "traces.csv")["scenario.names"].unique().tolist() == swept
     found = read_ioh(tmp_path / "out" / "export-ioh")["scenario.names"].unique()
-    assert [eval(text) for text in found] == swept  # as iohinspector does
+    assert [eval(text) for text in found] == swept  # iohinspector evaluates them, too
 
 
-def test_it_works_while_the_study_is_written(several, manifest):
+def test_exports_work_while_another_process_writes_the_study(several, manifest):
     with Store(several.folder, write=True) as store:
         exported = export_csv(several)
         store.forget([Status.FAILED])
@@ -258,7 +260,7 @@ def test_it_works_while_the_study_is_written(several, manifest):
     assert exported.runs == 32
 
 
-def test_nothing_is_overwritten_and_nothing_left_half(several, monkeypatch):
+def test_nothing_is_overwritten_or_left_incomplete(several, monkeypatch):
     before = sorted(several.folder.iterdir())
 
     def stop(*_):
@@ -271,28 +273,28 @@ def test_nothing_is_overwritten_and_nothing_left_half(several, monkeypatch):
     assert sorted(several.folder.iterdir()) == before
     for export, name in ((export_ioh, "export-ioh"), (export_csv, "traces.csv")):
         (several.folder / name).write_text("mine")
-        with pytest.raises(NfbenchError, match=f"{name} exists; remove it, or choose another place with --out"):
+        with pytest.raises(NfbenchError, match=f"{name} already exists; remove it, or choose another path with --out"):
             export(several)
         assert (several.folder / name).read_text() == "mine"
         with pytest.raises(StoreError, match=r"mine/\w+: Not a directory|mine: Not a directory"):
             export(several, several.folder / name / "mine" / "below")
 
 
-def test_a_folder_without_results_is_told(manifest, tmp_path):
+def test_a_folder_without_results_is_an_error(manifest, tmp_path):
     for export in (export_ioh, export_csv):
         with pytest.raises(StoreError, match="expected a results folder with"):
             export(nfbench.Results(tmp_path))
     results = written(manifest, tmp_path / "new", [])
     failed = written(manifest, tmp_path / "failed", [(Status.CRASHED, ())])
     for export in (export_ioh, export_csv):
-        with pytest.raises(NfbenchError, match="no run is finished yet"):
+        with pytest.raises(NfbenchError, match="no run has finished yet; nothing was written"):
             export(results)
-        with pytest.raises(NfbenchError, match=r"no run with a trace; .* left out: 1 crashed, 2 open"):
+        with pytest.raises(NfbenchError, match=r"no finished run can be exported; .* left out: 1 crashed, 2 open"):
             export(failed)
     assert not [path for path in tmp_path.glob("*/*") if path.name not in ("runs.sqlite", ".lock")]
 
 
-def test_the_command_says_what_it_wrote(several, monkeypatch, capsys):
+def test_the_command_prints_what_it_wrote(several, monkeypatch, capsys):
     def nfbench_export(*arguments):
         monkeypatch.setattr(sys, "argv", ["nfbench", "export", str(several.folder), *arguments])
         with pytest.raises(SystemExit) as ended:
@@ -300,10 +302,10 @@ def test_the_command_says_what_it_wrote(several, monkeypatch, capsys):
         return ended.value.code, *capsys.readouterr()
 
     out = several.folder.parent / "x" / "y"
-    told = f"{out}: 16 of 40 runs; left out: 16 failed, 4 skipped, 4 without a trace\n"
-    assert nfbench_export("--to", "ioh", "--out", str(out)) == (0, told, "")
+    text = f"{out}: 16 of 40 runs; left out: 16 failed, 4 skipped, 4 without a trace\n"
+    assert nfbench_export("--to", "ioh", "--out", str(out)) == (0, text, "")
     assert len(list(out.glob("*/*.json"))) == 12
-    code, _, told = nfbench_export("--to", "ioh", "--out", str(out))
-    assert code == 2 and "y exists; remove it, or choose another place with --out" in told
-    code, _, told = nfbench_export("--to", "coco")
-    assert code == 2 and all(name in told for name in ("'coco'", "'ioh'", "'csv'"))
+    code, _, errors = nfbench_export("--to", "ioh", "--out", str(out))
+    assert code == 2 and "y already exists; remove it, or choose another path with --out" in errors
+    code, _, errors = nfbench_export("--to", "coco")
+    assert code == 2 and all(name in errors for name in ("'coco'", "'ioh'", "'csv'"))

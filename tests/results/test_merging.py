@@ -1,4 +1,4 @@
-"""Shards join to the same table; folders that contradict are refused; comparison says what differs."""
+"""Merged shards give the whole table; contradicting folders are refused; the comparison finds differences."""
 
 import shutil
 import sqlite3
@@ -34,11 +34,11 @@ def test_three_shards_merged_equal_the_whole(manifest, tmp_path):
     merged = merge([tmp_path / f"{k}" for k in (1, 2, 3)], tmp_path / "merged")
     pd.testing.assert_frame_equal(merged.runs.drop(columns=TIMES), whole.drop(columns=TIMES), check_exact=True)
     assert (tmp_path / "merged" / "manifest.toml").read_text() == path.read_text()
-    again = merge([tmp_path / "2"], tmp_path / "merged")  # once more changes nothing
+    again = merge([tmp_path / "2"], tmp_path / "merged")  # merging a folder again changes nothing
     pd.testing.assert_frame_equal(again.runs, merged.runs, check_exact=True)
 
 
-def test_a_shard_stays_what_it_is_when_a_study_grows(manifest, tmp_path):
+def test_a_shard_keeps_its_runs_when_a_study_grows(manifest, tmp_path):
     before = run(manifest(BASIC, repetitions=20), tmp_path / "a", shard=(2, 4)).runs
     after = run(manifest(SWEPT.replace("[2, 3]", "[2, 4]"), repetitions=30), tmp_path / "b", shard=(2, 4)).runs
     assert set(before.run_id) <= set(after.run_id)
@@ -46,27 +46,27 @@ def test_a_shard_stays_what_it_is_when_a_study_grows(manifest, tmp_path):
 
 def test_a_folder_of_another_shard_is_refused(manifest, tmp_path):
     run(manifest(BASIC), tmp_path / "out", shard=(1, 2))
-    with pytest.raises(StoreError, match="shard is '1/2' there, '2/2' was asked for"):
+    with pytest.raises(StoreError, match="expected shard = '2/2', found '1/2'"):
         run(manifest(BASIC), tmp_path / "out", shard=(2, 2))
 
 
-def test_what_contradicts_is_not_merged(manifest, tmp_path):
+def test_contradicting_folders_are_not_merged(manifest, tmp_path):
     run(manifest(BASIC), tmp_path / "a")
     run(manifest(BASIC, seed=2), tmp_path / "seed")
     run(manifest(BASIC.replace("= 40", "= 41")), tmp_path / "budget")
     shutil.copytree(tmp_path / "a", tmp_path / "changed")
     change(tmp_path / "changed", "UPDATE results SET objective = objective + 1")
     for other, text in (
-        ("seed", "seed '1' differs"),
-        ("budget", "the manifest"),
-        ("changed", "came to another result"),
+        ("seed", "its seed is '2', but that of the previous folders is '1'"),
+        ("budget", "its manifest or a plugin version differs from that of the previous folders"),
+        ("changed", "its result of run .* differs from that in the previous folders"),
     ):
         with pytest.raises(StoreError, match=text):
             merge([tmp_path / "a", tmp_path / other], tmp_path / f"out-{other}")
         assert nfbench.Results(tmp_path / f"out-{other}").counts == {"ok": 3}
 
 
-def test_compare_counts_what_is_equal_and_shows_what_is_not(manifest, tmp_path):
+def test_compare_counts_equal_runs_and_shows_the_others(manifest, tmp_path):
     run(manifest(BASIC, repetitions=8), tmp_path / "a")
     shutil.copytree(tmp_path / "a", tmp_path / "b")
     same = compare(tmp_path / "a", tmp_path / "b")
@@ -77,7 +77,7 @@ def test_compare_counts_what_is_equal_and_shows_what_is_not(manifest, tmp_path):
     found = compare(tmp_path / "a", tmp_path / "b")
     assert (found.equal, found.rounding, len(found.rows)) == (6, 1, 1)
     assert found.rows.change.iloc[0] == pytest.approx(1 / 3) and found.rows.repetition.iloc[0] == 1
-    assert not found.matters  # the error is what it was
+    assert not found.matters  # the error is unchanged
     change(tmp_path / "b", f"UPDATE results SET status = 'failed' WHERE run_id = '{ids[2]}'")
     found = compare(tmp_path / "a", tmp_path / "b")
     assert found.matters and np.isinf(found.rows.change.max())
@@ -85,7 +85,7 @@ def test_compare_counts_what_is_equal_and_shows_what_is_not(manifest, tmp_path):
     assert compare(tmp_path / "a", tmp_path / "b").only_first == 1
 
 
-def test_compare_sees_an_error_leave_its_interval(manifest, tmp_path):
+def test_compare_notices_an_error_outside_its_interval(manifest, tmp_path):
     one = run(manifest(BASIC, repetitions=8), tmp_path / "a")
     other = run(manifest(BASIC.replace("= 40", "= 4000"), repetitions=8), tmp_path / "b")
     found = compare(tmp_path / "a", tmp_path / "b")

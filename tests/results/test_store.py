@@ -1,4 +1,4 @@
-"""The store survives what happens to files."""
+"""The store survives damaged files, full disks, old schemas and concurrent readers."""
 
 import sqlite3
 import subprocess
@@ -26,7 +26,7 @@ def test_a_closed_folder_is_one_database_file(folder):
     }  # fmt: skip
 
 
-def test_a_file_of_schema_1_is_brought_up_to_date(folder, manifest):
+def test_a_file_of_schema_1_is_migrated(folder, manifest):
     before = nfbench.Results(folder).runs
     with sqlite3.connect(folder / "runs.sqlite") as db:
         db.execute("ALTER TABLE results DROP COLUMN finished")
@@ -41,11 +41,11 @@ def test_a_file_of_schema_1_is_brought_up_to_date(folder, manifest):
 def test_a_file_of_a_newer_nfbench_is_refused(folder, manifest):
     with sqlite3.connect(folder / "runs.sqlite") as db:
         db.execute("UPDATE meta SET value = '99' WHERE key = 'schema'")
-    with pytest.raises(StoreError, match="found 99; it is of a newer nfbench"):
+    with pytest.raises(StoreError, match="found 99; a newer nfbench wrote it"):
         nfbench.run(load_study(manifest(BASIC)), out=folder, jobs=0)
 
 
-def test_a_damaged_file_is_told_and_left_alone(folder, manifest):
+def test_a_damaged_file_is_an_error_and_is_not_changed(folder, manifest):
     path = folder / "runs.sqlite"
     content = bytearray(path.read_bytes())
     content[4096:8192] = b"\xff" * 4096
@@ -55,19 +55,19 @@ def test_a_damaged_file_is_told_and_left_alone(folder, manifest):
     assert path.read_bytes() == content
 
 
-def test_a_full_disk_is_told_and_finished_rows_are_kept(folder, manifest):
+def test_a_full_disk_is_an_error_and_finished_rows_are_kept(folder, manifest):
     study = load_study(manifest(BASIC, repetitions=50))
     with Store(folder, write=True) as store:
         store.begin(study)
         pages = store._db.execute("PRAGMA page_count").fetchone()[0]
-        store._db.execute(f"PRAGMA max_page_count = {pages + 1}")  # SQLite's own way to a full disk
-        with pytest.raises(StoreError, match="database or disk is full; the rows written before are kept"):
+        store._db.execute(f"PRAGMA max_page_count = {pages + 1}")  # SQLite then reports a full disk
+        with pytest.raises(StoreError, match="database or disk is full; rows written earlier are kept"):
             store.add([RunRecord(spec.run_id, nfbench.Status.OK, "x" * 5000) for spec in study.specs()])
         assert store.counts() == {"ok": 3, "open": 47}
     assert nfbench.Results(folder).counts == {"ok": 3, "open": 47}
 
 
-def test_tables_that_cannot_be_written_are_told_and_nothing_is_lost(folder, manifest):
+def test_tables_that_cannot_be_written_are_an_error_and_no_row_is_lost(folder, manifest):
     (folder / "summary.csv").unlink()
     (folder / "summary.csv" / "in the way").mkdir(parents=True)
     with pytest.raises(StoreError, match=r"summary\.csv: .*; finished rows are kept in runs\.sqlite"):
@@ -75,12 +75,12 @@ def test_tables_that_cannot_be_written_are_told_and_nothing_is_lost(folder, mani
     assert nfbench.Results(folder).counts == {"ok": 5}
 
 
-def test_readers_work_beside_the_writer(folder, manifest):
+def test_readers_work_while_another_process_writes(folder, manifest):
     with Store(folder, write=True) as store:
         store.begin(load_study(manifest(BASIC, repetitions=6)))
         code = f"import nfbench, pathlib; print(nfbench.Results(pathlib.Path({str(folder)!r})).counts)"
-        told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
-        assert told.strip() == "{'ok': 3, 'open': 3}"
+        output = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+        assert output.strip() == "{'ok': 3, 'open': 3}"
 
 
 def test_a_network_file_system_is_recognized_and_written_without_wal(folder, manifest, monkeypatch, tmp_path):
@@ -95,7 +95,7 @@ def test_a_network_file_system_is_recognized_and_written_without_wal(folder, man
     assert "network file system (nfs4)" in (folder / "study.log").read_text()
 
 
-def test_scores_that_json_cannot_hold_come_back(folder):
+def test_infinite_scores_are_stored_and_score_columns_are_sorted(folder):
     with Store(folder, write=True) as store:
         first = next(store.runs())[0]
         store.add([RunRecord(first, nfbench.Status.OK, scores={"rmse_m": 0.1, "ratio": float("inf"), "error_10_m": 1.0,
@@ -105,7 +105,7 @@ def test_scores_that_json_cannot_hold_come_back(folder):
     assert [name for name in runs.columns if name.startswith("error")] == ["error_1_m", "error_2_m", "error_10_m"]
 
 
-def test_tables_that_were_not_written_for_all_rows_are_written_by_the_next_run(folder, manifest):
+def test_tables_that_lack_rows_are_written_by_the_next_run(folder, manifest):
     study = load_study(manifest(BASIC))
     whole = (folder / "runs.csv").read_text()
     with Store(folder, write=True) as store:
@@ -120,7 +120,7 @@ def test_tables_that_were_not_written_for_all_rows_are_written_by_the_next_run(f
     assert (folder / "runs.csv").read_text() != whole and (nfbench.Results(folder).runs.evaluations == 7).all()
 
 
-def test_a_folder_that_cannot_be_written_is_told(folder, manifest, monkeypatch):
+def test_a_folder_that_cannot_be_written_is_an_error(folder, manifest, monkeypatch):
     def refuse(*arguments, **options):
         raise PermissionError(13, "Permission denied")
 

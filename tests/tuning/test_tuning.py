@@ -1,4 +1,4 @@
-"""`nfbench tune`: where it looks, on which scenes, what it keeps, and what it says."""
+"""`nfbench tune`: its search ranges, its scenes, the files it keeps, and what it reports."""
 
 import dataclasses
 import importlib.util
@@ -79,7 +79,7 @@ def plan(**more):
     return Plan("points", **{"trials": 8, "training": 3, "held_out": 6, **more})
 
 
-# --- where it looks --------------------------------------------------------------------------------------------------
+# --- search ranges --------------------------------------------------------------------------------------------------
 
 
 def test_domains_follow_from_types_limits_and_marks():
@@ -115,22 +115,24 @@ def test_domains_follow_from_types_limits_and_marks():
 
 
 @pytest.mark.parametrize("name", Registry().names("solver"))
-def test_every_solver_accepts_what_tuning_would_try(name):
+def test_every_solver_accepts_the_ends_of_its_search_ranges(name):
     cls = Registry().find("solver", name).resolve()
     for option, domain in domains(cls).items():
         for value in (domain.low, domain.high) if isinstance(domain, Tune) else ():
             try:
                 build(cls, {option: value})
-            except nfbench.OptionError as error:  # rules across fields may object, the field itself must not
+            except (
+                nfbench.OptionError
+            ) as error:  # rules across fields may reject the value, those of the field must not
                 assert all(path != option for path, _ in error.problems), error
 
 
-def test_evolutionary_solvers_say_where_to_look():
+def test_evolutionary_solvers_declare_a_search_range_of_the_population():
     for name in ("de", "jade", "shade", "cmaes"):
         assert domains(Registry().find("solver", name).resolve())["population"].log
 
 
-# --- what it finds ---------------------------------------------------------------------------------------------------
+# --- results ---------------------------------------------------------------------------------------------------
 
 
 @needs_optuna
@@ -154,7 +156,10 @@ def test_scores_and_scenes_are_those_of_a_study(path, tmp_path):
     runs = runs[runs["formulation"] == "once"]
     logs = [np.log10(runs[runs["solver"] == label]["rmse_m"].to_numpy()) for label in "01"]
     repetition = runs[runs["solver"] == "0"]["repetition"].to_numpy()
-    training, held_out = (repetition >= 6) & (repetition < 9), repetition < 6  # 4 are the study's, 6 held out
+    training, held_out = (
+        (repetition >= 6) & (repetition < 9),
+        repetition < 6,
+    )  # the study has 4 repetitions, and 6 are held out
     assert found.trials[0].score == pytest.approx(logs[0][training].mean(), rel=1e-12)
     assert found.best.score == pytest.approx(logs[1][training].mean(), rel=1e-12)
     factor = 10 ** (logs[1] - logs[0])[held_out].mean()
@@ -172,7 +177,7 @@ def test_the_same_seed_gives_the_same_trials_in_workers_too(path, tmp_path):
 
 
 @needs_optuna
-def test_settings_that_fail_are_told_and_never_best(path, tmp_path):
+def test_settings_that_fail_are_recorded_and_never_best(path, tmp_path):
     found = tune(load_study(path), plan(trials=25, seed=3), tmp_path / "out")
     table = pd.read_csv(tmp_path / "out" / "trials.csv")
     assert list(table.columns) == ["trial", "score", "error", "message", "points", "width", "mode"] and len(table) == 26
@@ -183,25 +188,25 @@ def test_settings_that_fail_are_told_and_never_best(path, tmp_path):
 
 
 @needs_optuna
-def test_where_nothing_runs_through_that_is_an_error(path, tmp_path):
-    with pytest.raises(NfbenchError, match="no setting of points ran through; the default: failed: RuntimeError"):
+def test_it_is_an_error_if_every_setting_fails(path, tmp_path):
+    with pytest.raises(NfbenchError, match="every setting of points failed; the default: failed: RuntimeError"):
         tune(load_study(path), plan(options={"mode": "broken"}), tmp_path / "out")
 
 
 @needs_optuna
 def test_an_interrupted_tuning_keeps_its_trials(path, tmp_path):
-    def told(trial):
+    def interrupt(trial):
         if trial.number == 3:
             raise KeyboardInterrupt
 
-    found = tune(load_study(path), plan(), tmp_path / "out", told=told)
+    found = tune(load_study(path), plan(), tmp_path / "out", on_trial=interrupt)
     assert found.interrupted and len(found.trials) == 4 and found.held_out is None
     assert len(pd.read_csv(tmp_path / "out" / "trials.csv")) == 4
-    assert "interrupted before held-out" in (tmp_path / "out" / "tuned.toml").read_text()
+    assert "interrupted before the held-out" in (tmp_path / "out" / "tuned.toml").read_text()
 
 
 @needs_optuna
-def test_where_sources_are_miscounted_gospa_is_tuned(path, tmp_path, monkeypatch):
+def test_gospa_is_tuned_if_sources_are_miscounted(path, tmp_path, monkeypatch):
     study, execute = load_study(path), nfbench.execution.engine.execute
     plain = tune(study, plan(trials=1, held_out=1), tmp_path / "plain")
 
@@ -227,13 +232,13 @@ def test_formulation_and_budget_can_be_chosen(path, tmp_path):
         tune(study, Plan("raises"), tmp_path / "out")
 
 
-def test_without_optuna_it_says_how_to_get_it(path, tmp_path, monkeypatch):
+def test_without_optuna_the_error_names_the_command_that_installs_it(path, tmp_path, monkeypatch):
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     with pytest.raises(MissingExtra, match=r"pip install 'nfbench\[optuna\]'"):
         tune(load_study(path), plan(), tmp_path / "out")
 
 
-# --- going on --------------------------------------------------------------------------------------------------------
+# --- resuming --------------------------------------------------------------------------------------------------------
 
 STOP = """
     def minimize(self, problem, rng):
@@ -265,10 +270,13 @@ def small(**more):
 @pytest.mark.parametrize(
     ("number", "jobs", "then"), [(signal.SIGKILL, 0, 0), (signal.SIGKILL, 2, 2), (signal.SIGINT, 2, 0)]
 )
-def test_a_tuning_killed_and_gone_on_with_ends_as_one_that_was_not(path, tmp_path, number, jobs, then):
+def test_a_tuning_that_was_killed_and_resumed_ends_with_the_same_files(path, tmp_path, number, jobs, then):
     plugin = tmp_path / "points.py"
     plugin.write_text(PLUGIN.replace("\n    def minimize(self, problem, rng):\n", STOP))
-    out, how = tmp_path / "out", plan(trials=16, training=2, options={"mode": "fine"})  # TPE itself begins after 10
+    out, how = (
+        tmp_path / "out",
+        plan(trials=16, training=2, options={"mode": "fine"}),
+    )  # TPE starts after 10 random trials
     tune(load_study(path), how, tmp_path / "whole")
     stop = {"STOP": "20", "STOP_COUNTER": str(tmp_path / "count"), "STOP_SIGNAL": str(int(number))}
     arguments = ["--trials", 16, "--training", 2, "--held-out", 6, "--option", "mode=fine", "--jobs", jobs]
@@ -279,7 +287,7 @@ def test_a_tuning_killed_and_gone_on_with_ends_as_one_that_was_not(path, tmp_pat
         capture_output=True,
         text=True,
         timeout=300,
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # ignored in a job of a shell
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # a background job of a shell ignores SIGINT
     )
     assert done.returncode == (130 if number == signal.SIGINT else -number), done.stderr
     begun, whole = (out / "trials.csv").read_bytes(), (tmp_path / "whole" / "trials.csv").read_bytes()
@@ -289,7 +297,7 @@ def test_a_tuning_killed_and_gone_on_with_ends_as_one_that_was_not(path, tmp_pat
 
 
 @needs_optuna
-def test_what_is_stored_is_not_run_again_and_more_trials_follow(path, tmp_path, monkeypatch):
+def test_stored_trials_are_not_run_again_and_more_trials_can_follow(path, tmp_path, monkeypatch):
     study, out, specs, execute = load_study(path), tmp_path / "out", [], nfbench.execution.engine.execute
     monkeypatch.setattr(
         "nfbench.execution.engine.execute", lambda spec, registry: (specs.append(spec), execute(spec, registry))[1]
@@ -298,14 +306,14 @@ def test_what_is_stored_is_not_run_again_and_more_trials_follow(path, tmp_path, 
     specs.clear()
     again = tune(study, plan(trials=2), out)
     assert repr(again.trials) == repr(first.trials) and len(again.trials) == 7 and written(out) == before
-    assert {spec.repetition for spec in specs} == set(range(6)) and len(specs) == 24  # the held-out ones alone
+    assert {spec.repetition for spec in specs} == set(range(6)) and len(specs) == 24  # only the held-out ones
     tune(study, plan(trials=22), out)
     tune(study, plan(trials=22), tmp_path / "whole")
     assert written(out) == written(tmp_path / "whole") != before
 
 
 @needs_optuna
-def test_a_line_written_in_part_does_no_harm(path, tmp_path):
+def test_an_incomplete_line_is_ignored(path, tmp_path):
     study, out = load_study(path), tmp_path / "out"
     tune(study, small(), out)
     whole, table = written(out), out / "trials.csv"
@@ -324,43 +332,43 @@ def test_a_line_written_in_part_does_no_harm(path, tmp_path):
         tune(study, small(), out)
         assert written(out) == whole, torn
     (out / "tuned.toml").unlink()
-    table.unlink()  # killed between two files
+    table.unlink()  # as if killed between writing two files
     tune(study, small(), out)
     assert written(out) == whole
 
 
 @needs_optuna
-def test_the_measure_is_that_of_the_stored_default(path, tmp_path, monkeypatch):
+def test_a_resumed_tuning_uses_the_error_measure_of_the_stored_default(path, tmp_path, monkeypatch):
     study, out, execute = load_study(path), tmp_path / "out", nfbench.execution.engine.execute
 
-    def miscounting(spec, registry):  # with the default alone
+    def miscounting(spec, registry):  # only with the default setting
         record, found = execute(spec, registry), 3.0 - (spec.method.solver.options["points"] == 1)
         more = {"gospa_m": 2 * record.scores["rmse_m"], "sources": 3.0, "sources_found": found}
         return dataclasses.replace(record, scores=record.scores | more)
 
-    def told(trial):
+    def interrupt(trial):
         if trial.number == 1:
             raise KeyboardInterrupt
 
     monkeypatch.setattr("nfbench.execution.engine.execute", miscounting)
     how = small(options={"mode": "fine"})
     whole = tune(study, how, tmp_path / "whole")
-    assert tune(study, how, out, told=told).interrupted
+    assert tune(study, how, out, on_trial=interrupt).interrupted
     assert tune(study, how, out).error == whole.error == "gospa_m"
     assert written(out) == written(tmp_path / "whole")
 
 
 @needs_optuna
-def test_an_interruption_before_anything_new_changes_nothing(path, tmp_path):
+def test_an_interruption_before_any_new_trial_changes_nothing(path, tmp_path):
     tune(load_study(path), small(), tmp_path / "out")
     before = contents(tmp_path / "out")
 
-    def told(trial):
+    def interrupt(trial):
         if trial.number == 2:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        tune(load_study(path), small(trials=5), tmp_path / "out", told=told)
+        tune(load_study(path), small(trials=5), tmp_path / "out", on_trial=interrupt)
     assert contents(tmp_path / "out") == before
 
 
@@ -368,7 +376,7 @@ def test_an_interruption_before_anything_new_changes_nothing(path, tmp_path):
 def test_a_folder_of_another_tuning_is_refused_with_what_differs(path, manifest, tmp_path):
     out, files = tmp_path / "out", [tmp_path / "points.py"]
     tune(load_study(path), small(), out)
-    (out / ".lock").unlink(missing_ok=True)  # not even that is made again
+    (out / ".lock").unlink(missing_ok=True)  # it must not be created again
     before = contents(out)
 
     def refused(study, how, differing):
@@ -376,23 +384,23 @@ def test_a_folder_of_another_tuning_is_refused_with_what_differs(path, manifest,
             tune(load_study(study), how, out)
         assert contents(out) == before
 
-    refused(path, small(seed=5), "seed.tuner is 0 there, 5 was asked for; choose")
-    refused(path, small(training=2), "training.scenes is 1 there, 2 was asked for; choose")
-    refused(path, small(held_out=9), "training.from_repetition is 4 there, 9 was asked for; choose")
-    refused(path, small(options={"patience": 4}), "options.patience is None there, 4 was asked for; choose")
-    refused(path, small(evaluations=7), "budget.evaluations is 40 there, 7 was asked for; choose")
-    refused(path, small(formulation="two"), "formulation.kind is 'once' there, 'twice' was asked for; choose")
+    refused(path, small(seed=5), "expected seed.tuner = 5, found 0; choose")
+    refused(path, small(training=2), "expected training.scenes = 2, found 1; choose")
+    refused(path, small(held_out=9), "expected training.from_repetition = 9, found 4; choose")
+    refused(path, small(options={"patience": 4}), "expected options.patience = 4, found None; choose")
+    refused(path, small(evaluations=7), "expected budget.evaluations = 7, found 40; choose")
+    refused(path, small(formulation="two"), "expected formulation.kind = 'twice', found 'once'; choose")
     for text, seed, differing in (
-        (STUDY, 2, "seed.study is 1 there, 2"),
-        (STUDY.replace("0.5", "0.4"), 1, "points[1].noise is 0.5 there, 0.4"),
-        (STUDY.replace("0.5", "0.5, 0.6"), 1, "points are 2 there, 3 were"),
+        (STUDY, 2, "expected seed.study = 2, found 1"),
+        (STUDY.replace("0.5", "0.4"), 1, "expected points[1].noise = 0.4, found 0.5"),
+        (STUDY.replace("0.5", "0.5, 0.6"), 1, "expected 3 points, found 2"),
     ):
         refused(manifest(text, repetitions=4, seed=seed, plugins=files, file="other.toml"), small(), differing)
     same = manifest(STUDY, repetitions=3, plugins=files, file="same.toml", name="renamed")
-    assert len(tune(load_study(same), small(held_out=4), out).trials) == 4  # the scenes are the same ones
+    assert len(tune(load_study(same), small(held_out=4), out).trials) == 4  # the scenes are the same
     before = contents(out)
     files[0].write_text(PLUGIN + "# changed")
-    refused(path, small(), "versions.solver is ")
+    refused(path, small(), "expected versions.solver = ")
 
 
 @needs_optuna
@@ -415,11 +423,11 @@ def test_a_folder_that_cannot_be_read_is_refused(path, tmp_path):
         (
             "trials.csv",
             b"".join([*rows[:2], other, b"torn"]),
-            r"trial 1 is another setting.*points is 17 there, \d+ now",
+            r"the sampler proposes other options for trial 1 .*points was 17, now \d+",
         ),
         ("tuning.json", about[:40], "cannot be read: "),
         ("tuning.json", b"[]", "cannot be read: "),
-        ("tuning.json", None, "trials.csv and tuned.toml of a tuning without tuning.json"),
+        ("tuning.json", None, "trials.csv and tuned.toml but no tuning.json"),
     ):
         (out / "trials.csv").write_bytes(table)
         (out / "tuning.json").write_bytes(about)
@@ -431,15 +439,15 @@ def test_a_folder_that_cannot_be_read_is_refused(path, tmp_path):
 
 
 @needs_optuna
-def test_fresh_moves_a_folder_aside_unless_somebody_writes_there(path, tmp_path):
+def test_fresh_moves_a_folder_aside_unless_another_process_writes_there(path, tmp_path):
     study, out = load_study(path), tmp_path / "out"
     tune(study, small(), out)
     before = written(out)
     lock = locked(out)
     for fresh in (False, True):
-        with pytest.raises(StoreError, match="another nfbench is writing here"):
+        with pytest.raises(StoreError, match="another nfbench process is writing to this folder"):
             tune(study, small(), out, fresh=fresh)
-        with pytest.raises(StoreError, match="another nfbench is writing here"):
+        with pytest.raises(StoreError, match="another nfbench process is writing to this folder"):
             nfbench.run(study, out=out, jobs=0, fresh=fresh)
     lock.release()
     assert written(out) == before
@@ -449,24 +457,24 @@ def test_fresh_moves_a_folder_aside_unless_somebody_writes_there(path, tmp_path)
     assert written(old) == before and len(pd.read_csv(out / "trials.csv")) == 2
 
 
-# --- what it says ----------------------------------------------------------------------------------------------------
+# --- verdicts ----------------------------------------------------------------------------------------------------
 
 
-def test_the_verdict_says_no_more_than_the_scenes_do():
+def test_the_verdict_claims_no_more_than_the_scenes_support():
     rng = np.random.default_rng(1)
     default = rng.lognormal(size=40)
     assert "0.5 times" in judge(default, default / 2) and "0.5 – 0.5): it is better" in judge(default, default / 2)
     assert "it is worse" in judge(default, default * 1.5)
     assert "the same within 1%" in judge(default, default * 1.002)
-    assert "cannot be told apart" in judge(default, rng.permutation(default))
-    assert "cannot be told apart" in judge(default, default * 0.995 * rng.lognormal(0, 0.02, 40))
-    assert judge(default[:5], default[:5] / 9).startswith("5 held-out scenes with both errors do not tell")
+    assert "the difference is not significant" in judge(default, rng.permutation(default))
+    assert "the difference is not significant" in judge(default, default * 0.995 * rng.lognormal(0, 0.02, 40))
+    assert judge(default[:5], default[:5] / 9).startswith("5 held-out scenes with both errors are too few to compare")
     default[:36] = math.nan  # failed
     assert judge(default, default / 9).startswith("4 held-out scenes")
 
 
 def test_the_interval_covers_the_true_factor():
-    """Of 95 % intervals for the mean of 40 normal logs, about 94 % hold it; 300 of them within 4 standard errors."""
+    """About 94 % of the intervals of 40 normal logs cover the mean, within 4 standard errors of 300 intervals."""
     rng = np.random.default_rng(2)
     hits = 0
     for _ in range(300):
