@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
+import threading
 import time
 from operator import le
 from typing import final
@@ -33,20 +34,21 @@ class MeteredProblem(Problem):
       becomes ``invalid``. Evaluation never clips a point.
     * A value that is NaN or infinite is returned to the solver as +inf and never becomes the best value;
       ``nonfinite`` counts these values.
-    * ``lower``, ``upper`` and ``best_point`` are read-only. The solver may change the arrays that a call returns.
+    * ``lower``, ``upper`` and ``best_point`` are read-only, and so are the counts and the best value. The solver may
+      change the arrays that a call returns.
+    * Threads may share a meter: each of their evaluations counts, and none is made beyond the budget.
     """
 
     def __init__(self, problem: Problem, budget: Budget) -> None:
         self.lower, self.upper = check_box(problem.lower, problem.upper)
         self.has_gradient = problem.has_gradient  # type: ignore[misc]  # depends on the wrapped problem
-        self.evaluations = 0
-        self.gradients = 0
-        self.nonfinite = 0
-        self.best_value = math.inf
-        self.best_point: Float[ndarray, " n"] | None = None
         self.fault: str | None = None
         self.population: Float[ndarray, "p n"] | None = None
         self.population_values: Float[ndarray, " p"] | None = None
+        self._evaluations = self._gradients = self._nonfinite = 0
+        self._best_value = math.inf
+        self._best_point: Float[ndarray, " n"] | None = None
+        self._lock = threading.Lock()  # for the record of improvements
         self._problem = problem
         self._value = problem.value
         self._limit = budget.evaluations if budget.evaluations is not None else sys.maxsize
@@ -58,6 +60,31 @@ class MeteredProblem(Problem):
         self._recorder = Recorder()
         self._start = time.perf_counter()
         self._deadline = self._start + budget.seconds if budget.seconds is not None else None
+
+    @property
+    def evaluations(self) -> int:
+        """Number of evaluations made."""
+        return self._evaluations
+
+    @property
+    def gradients(self) -> int:
+        """Number of evaluations that also gave the gradient."""
+        return self._gradients
+
+    @property
+    def nonfinite(self) -> int:
+        """Number of evaluations whose value was NaN or infinite."""
+        return self._nonfinite
+
+    @property
+    def best_value(self) -> float:
+        """The smallest finite value so far; +inf before there is one."""
+        return self._best_value
+
+    @property
+    def best_point(self) -> Float[ndarray, " n"] | None:
+        """The first point with the best value; None before there is one."""
+        return self._best_point
 
     @property
     def remaining(self) -> int:
@@ -95,38 +122,46 @@ class MeteredProblem(Problem):
         if type(x) is not ndarray or x.dtype is not _FLOAT64:
             x = np.asarray(x, dtype=np.float64)
         self._check_point(x)
+        if self._evaluations >= self._limit:  # another thread made the last evaluation since the check
+            raise BudgetExhausted
+        self._evaluations += 1  # before the evaluation; without a call since the comparison, threads cannot interleave
+        number = self._evaluations
         value = self._value(x)
         if type(value) is not float:
             value = self._scalar(value)
-        if self.best_value <= value < math.inf:  # the most common case; false for NaN
-            self.evaluations += 1
+        if self._best_value <= value < math.inf:  # the most common case; false for NaN
             return value
-        return self._record(x, value)
+        return self._record(number, x, value)
 
     def evaluate(self, X: Float[ndarray, "p n"]) -> Float[ndarray, " p"]:
         """Evaluate p points, one per row, and return their values."""
         X = np.asarray(X, dtype=np.float64)
         if X.ndim != 2 or X.shape[1:] != self._shape:
             self._reject(f"expected a batch of shape (p, {self.dimension}), got {X.shape}")
-        if not len(X):
+        count = len(X)
+        if not count:
             return np.empty(0)
         self._check_budget()
-        if len(X) != len(self._lowers):
-            self._lowers, self._uppers = (np.tile(bound, (len(X), 1)) for bound in (self.lower, self.upper))
-        inside = np.logical_and(self._lowers <= X, self._uppers >= X)  # false for NaN too
-        if np.count_nonzero(inside) < inside.size:
-            self._reject(self._outside(X[~inside.all(axis=1)][0]))
-        batch = X[: self.remaining]
+        self._check_batch(X)
+        before = self._evaluations
+        if count > self._limit - before:
+            count = self._limit - before
+        self._evaluations = before + count  # as for a single point: no call since ``before``
+        batch = X[:count]
+        if not len(batch):  # another thread made the last evaluation since the check
+            raise BudgetExhausted
         values = np.array(self._problem.evaluate(batch), dtype=np.float64)
         if values.shape != (len(batch),):
             self._reject(f"the problem: expected values of shape ({len(batch)},), got {values.shape}")
         smallest = values[values.argmin()]
         if not (smallest > -math.inf and values[values.argmax()] < math.inf):  # false for NaN too
             finite = np.isfinite(values)
-            self.nonfinite += int(np.count_nonzero(~finite))
+            with self._lock:
+                self._nonfinite += int(np.count_nonzero(~finite))
             values[~finite] = math.inf
             smallest = values.min()
-        self._record_batch(batch, values, smallest)
+        if smallest < self._best_value or not before:
+            self._record_batch(before, batch, values)
         if len(batch) < len(X):
             raise BudgetExhausted
         return values
@@ -168,9 +203,32 @@ class MeteredProblem(Problem):
         """Return the value and the gradient at one point. This counts as one evaluation and one gradient."""
         x = np.asarray(x, dtype=np.float64)
         self._check_point(x)
+        if self._evaluations >= self._limit:
+            raise BudgetExhausted
+        self._evaluations += 1
+        number = self._evaluations
         value, gradient = self._problem.value_and_gradient(x)
-        self.gradients += 1
-        return self._record(x, self._scalar(value)), np.array(gradient, dtype=np.float64)
+        with self._lock:
+            self._gradients += 1
+        return self._record(number, x, self._scalar(value)), np.array(gradient, dtype=np.float64)
+
+    def audit(self, budget: Budget) -> str | None:
+        """What contradicts the budget or the trace, if the solver wrote to this meter's private state; otherwise None.
+
+        Nothing can be evaluated after this.
+        """
+        with self._lock:
+            limit = sys.maxsize if budget.evaluations is None else budget.evaluations
+            rows = self._recorder.rows
+            self._limit = self._deadline = 0  # a thread that the solver left running ends here
+        if self._evaluations > limit:
+            return f"expected at most {limit} evaluations, got {self._evaluations}: the solver changed the budget"
+        last = rows[-1] if rows else (0, 0.0, math.inf)
+        if not isinstance(self._evaluations, int) or self._evaluations < last[0]:
+            return f"expected at least {last[0]} evaluations, got {self._evaluations!r}: the solver changed the count"
+        if type(self._best_value) is not float or self._best_value != last[2]:
+            return f"expected the best value {last[2]!r}, got {self._best_value!r}: the solver changed it"
+        return None
 
     def _check_point(self, x: ndarray) -> None:
         """Raise an exception if the budget is used up or the point is invalid."""
@@ -185,41 +243,49 @@ class MeteredProblem(Problem):
         if not inside:
             self._reject(self._outside(x))
 
+    def _check_batch(self, X: ndarray) -> None:
+        """Raise an exception if any of the points lies outside the box."""
+        if len(X) != len(self._lowers):
+            self._lowers, self._uppers = (np.tile(bound, (len(X), 1)) for bound in (self.lower, self.upper))
+        inside = np.logical_and(self._lowers <= X, self._uppers >= X)  # false for NaN too
+        if np.count_nonzero(inside) < inside.size:
+            self._reject(self._outside(X[~inside.all(axis=1)][0]))
+
     def _check_budget(self) -> None:
-        if self.evaluations >= self._limit or self.best_value <= self._target:  # the same as ``spent``, but faster
+        if self._evaluations >= self._limit or self._best_value <= self._target:  # the same as ``spent``, but faster
             raise BudgetExhausted
         if self._deadline is not None and time.perf_counter() >= self._deadline:
             raise BudgetExhausted
         if self.fault is not None:
             raise InvalidEvaluation(self.fault)
 
-    def _record(self, x: ndarray, value: float) -> float:
-        self.evaluations += 1
-        if not math.isfinite(value):
-            self.nonfinite += 1
-            value = math.inf
-        if value < self.best_value or self.evaluations == 1:
-            self._improve(self.evaluations, x, value)
+    def _record(self, number: int, x: ndarray, value: float) -> float:
+        """Record the value of the evaluation with this number; the value that the solver receives."""
+        with self._lock:
+            if not math.isfinite(value):
+                self._nonfinite += 1
+                value = math.inf
+            if value < self._best_value or number == 1:
+                self._improve(number, x, value)
         return value
 
-    def _record_batch(self, batch: ndarray, values: ndarray, smallest: float) -> None:
+    def _record_batch(self, before: int, batch: ndarray, values: ndarray) -> None:
         """Record each improvement with its position in the batch, as if the points had been evaluated one by one."""
-        before = self.evaluations
-        self.evaluations += len(values)
-        if smallest >= self.best_value and before:
-            return
-        best_before = np.minimum.accumulate(np.concatenate([[self.best_value], values[:-1]]))
-        improved = values < best_before
-        improved[0] |= before == 0
-        for i in np.flatnonzero(improved):
-            self._improve(before + int(i) + 1, batch[i], float(values[i]))
+        with self._lock:
+            best_before = np.minimum.accumulate(np.concatenate([[self._best_value], values[:-1]]))
+            improved = values < best_before
+            improved[0] |= before == 0
+            for i in np.flatnonzero(improved):
+                self._improve(before + int(i) + 1, batch[i], float(values[i]))
 
-    def _improve(self, evaluation: int, x: ndarray, value: float) -> None:
+    def _improve(self, number: int, x: ndarray, value: float) -> None:
         point = x.copy()
         point.flags.writeable = False
         if value < math.inf:
-            self.best_value, self.best_point = value, point
-        self._recorder.add(evaluation, self.seconds, value, point)
+            self._best_value, self._best_point = value, point
+        rows = self._recorder.rows
+        number = max(number, rows[-1][0]) if rows else number  # a thread may be late
+        self._recorder.add(number, self.seconds, value, point)
 
     def _scalar(self, value: object) -> float:
         array = np.asarray(value, dtype=np.float64)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 
 import numpy as np
@@ -13,6 +14,7 @@ from .minimum import Minimum
 from .problem import Problem
 from .solver import Solver
 from .status import Status
+from .trace import Recorder
 
 __all__ = ["minimize"]
 
@@ -28,19 +30,33 @@ def minimize(problem: Problem, solver: Solver, budget: Budget | int, seed: int |
     budget = Budget(evaluations=budget) if isinstance(budget, int) else budget
     solver.warm_up()
     meter = MeteredProblem(problem, budget)
+    dimension = meter.dimension
     start = time.perf_counter()
     status, message = _run_solver(solver, meter, np.random.default_rng(seed))
     runtime_s = time.perf_counter() - start
+    try:
+        return _result(meter, budget, runtime_s, status, message)
+    except MemoryError:
+        raise
+    except Exception as error:  # the solver wrote to private attributes of the meter
+        message = f"the solver damaged the meter: {explain(error)}"
+        return _no_result(dimension, runtime_s, message)
+
+
+def _result(meter: MeteredProblem, budget: Budget, runtime_s: float, status: Status, message: str) -> Minimum:
+    """What the meter recorded, unless it contradicts the budget."""
+    if (contradiction := meter.audit(budget)) is not None:
+        status, message = Status.INVALID, contradiction
     population, values = meter.population, meter.population_values
     if population is not None and values is not None:
         order = np.argsort(values, kind="stable")
         population, values = population[order], values[order]
     return Minimum(
         x=np.full(meter.dimension, np.nan) if meter.best_point is None else meter.best_point,
-        value=meter.best_value,
-        evaluations=meter.evaluations,
-        gradients=meter.gradients,
-        nonfinite=meter.nonfinite,
+        value=meter.best_value if isinstance(meter.best_value, float) else math.nan,
+        evaluations=int(meter.evaluations),
+        gradients=int(meter.gradients),
+        nonfinite=int(meter.nonfinite),
         runtime_s=runtime_s,
         status=status,
         message=message,
@@ -48,6 +64,11 @@ def minimize(problem: Problem, solver: Solver, budget: Budget | int, seed: int |
         population=population,
         population_values=values,
     )
+
+
+def _no_result(dimension: int, runtime_s: float, message: str) -> Minimum:
+    nothing = Recorder().trace(dimension, 0, runtime_s)
+    return Minimum(np.full(dimension, np.nan), math.nan, 0, 0, 0, runtime_s, Status.INVALID, message, nothing)
 
 
 def _run_solver(solver: Solver, meter: MeteredProblem, rng: np.random.Generator) -> tuple[Status, str]:

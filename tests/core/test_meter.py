@@ -1,13 +1,28 @@
 """Tests that the meter counts every evaluation, makes none beyond the budget, and keeps the best point."""
 
+import contextlib
 import math
+import threading
+import time
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from nfbench import Budget, BudgetExhausted, Incompatible, InvalidEvaluation, MeteredProblem, OptionError, Problem
+from nfbench import (
+    Budget,
+    BudgetExhausted,
+    Incompatible,
+    InvalidEvaluation,
+    MeteredProblem,
+    OptionError,
+    Problem,
+    Solver,
+    Status,
+    minimize,
+)
 from nfbench.core.trace import MAX_ROWS
 
 
@@ -222,3 +237,90 @@ def test_a_budget_without_a_limit_and_a_problem_with_an_empty_box_are_errors():
     problem.upper = problem.lower
     with pytest.raises(ValueError, match="lower < upper"):
         MeteredProblem(problem, Budget(evaluations=1))
+
+
+class Slow(Counted):
+    """A problem that gives other threads a chance to run within an evaluation."""
+
+    def evaluate(self, X):
+        time.sleep(0.0002)
+        return super().evaluate(X)
+
+
+@pytest.mark.parametrize("batch", [1, 7])
+def test_threads_together_make_no_evaluation_beyond_the_budget(batch):
+    problem = Slow()
+    meter = MeteredProblem(problem, Budget(evaluations=200))
+
+    def work(seed):
+        rng = np.random.default_rng(seed)
+        with contextlib.suppress(BudgetExhausted):
+            while True:
+                X = rng.uniform(-1, 1, (batch, 2))
+                meter(X[0]) if batch == 1 else meter.evaluate(X)
+
+    threads = [threading.Thread(target=work, args=(seed,)) for seed in range(8)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert meter.evaluations == problem.count == 200
+    trace = meter.trace
+    assert (np.diff(trace.evaluations) >= 0).all() and (np.diff(trace.values) <= 0).all()
+    assert trace.values[-1] == meter.best_value and trace.evaluations[-1] == 200
+
+
+@pytest.mark.parametrize("name", ["evaluations", "gradients", "nonfinite", "best_value", "best_point", "remaining"])
+def test_the_counts_and_the_best_value_cannot_be_assigned(name):
+    _, meter = metered()
+    with pytest.raises(AttributeError):
+        setattr(meter, name, 0)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"_limit": 10**9}, "expected at most 20 evaluations, got 50"),
+        ({"_evaluations": 0}, "expected at least "),
+        ({"_best_value": -1.0}, "expected the best value "),
+        ({"_best_value": "abc"}, "expected the best value "),
+        ({"_recorder": None}, "the solver damaged the meter: AttributeError"),
+        ({"lower": None}, "the solver damaged the meter: "),
+    ],
+)
+def test_a_run_whose_solver_changed_the_meter_is_not_ok(change, message):
+    @dataclass(frozen=True)
+    class Cheats(Solver):
+        def minimize(self, problem, rng):
+            for name, value in change.items():
+                if name == "_limit":
+                    setattr(problem, name, value)
+            with contextlib.suppress(BudgetExhausted):
+                for _ in range(50 if "_limit" in change else 20):
+                    problem(rng.uniform(-1, 1, 2))
+            for name, value in change.items():
+                setattr(problem, name, value)
+
+    found = minimize(Counted(), Cheats(), 20)
+    assert found.status in (Status.INVALID, Status.FAILED) and message in found.message, found.message
+
+
+def test_a_thread_that_outlives_the_run_cannot_go_on_evaluating():
+    problem, threads = Slow(), []
+
+    @dataclass(frozen=True)
+    class LeavesAThread(Solver):
+        def minimize(self, problem, rng):
+            def work():
+                with contextlib.suppress(BudgetExhausted):
+                    while True:
+                        problem(np.zeros(2))
+
+            threads.append(threading.Thread(target=work))
+            threads[0].start()
+            problem(np.zeros(2))
+
+    found = minimize(problem, LeavesAThread(), 10**6)
+    threads[0].join(10)
+    assert not threads[0].is_alive() and found.status is Status.OK
+    assert problem.count <= found.evaluations + 1
