@@ -1,12 +1,7 @@
 """Response vectors of an array for four models of the wavefront, and their derivatives.
 
-Every model says by how much nearer than the origin a source is to an element: the advance f = r − d_m as a function of
-s = u·q_m, r and w = ‖q_m‖², all in metres. Then a_m = exp(j·2π/λ·f), computed in ``kernels``.
-
-    exact     f = (2rs − w)/(r + d_m), d_m = √(r² − 2rs + w): without the cancellation of nearly equal lengths
-    fresnel   f = s − (w − s²)/2r
-    paper     f = s − w/2r, without the cos²φ factor
-    planar    f = s
+Each model states the advance f = r − d_m, by how much nearer than the origin a source is to an element, as a function
+of s = u·q_m, r and w = ‖q_m‖². Then a_m = exp(j·2π/λ·f). Formulas and derivatives are in ``objectives/kernels``.
 """
 
 from __future__ import annotations
@@ -19,7 +14,6 @@ from typing import Literal, TypeAlias
 import numpy as np
 from jaxtyping import Complex, Float
 from numpy import ndarray
-from numpy.typing import NDArray
 
 from .geometry import direction_derivatives, directions
 from .objectives import kernels
@@ -27,23 +21,6 @@ from .objectives import kernels
 __all__ = ["Manifold", "Wavefront"]
 
 Wavefront: TypeAlias = Literal["exact", "fresnel", "paper", "planar"]
-
-_Real: TypeAlias = NDArray[np.float64]
-
-
-def _slopes(wavefront: Wavefront, s: _Real, r: _Real, w: _Real) -> tuple[_Real, _Real]:
-    """The slopes ∂f/∂s and ∂f/∂r of the advance; s (p, M), r (p, 1), w (M,)."""
-    match wavefront:
-        case "exact":  # ∂f/∂r = 1 − (r − s)/d, again without cancellation
-            numerator = 2 * r * s - w
-            d = np.sqrt(np.maximum(r * r - numerator, np.finfo(np.float64).tiny))  # where a source meets an element
-            return r / d, (w - s * numerator / (r + d)) / ((r + d) * d)
-        case "fresnel":
-            return 1 + s / r, (w - s * s) / (2 * r * r)
-        case "paper":
-            return np.ones_like(s), np.broadcast_to(w / (2 * r * r), s.shape)
-        case "planar":
-            return np.ones_like(s), np.zeros_like(s)
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +60,7 @@ class Manifold:
     ) -> tuple[Complex[ndarray, "p m"], Complex[ndarray, "p d m"]]:
         """The response vectors and ∂a/∂θ_i, i in the order of ``theta`` [1/rad, 1/m]."""
         a, s = self.response(theta), directions(theta) @ self._columns
-        by_s, by_r = _slopes(self.wavefront, s, theta[:, -1:], self._squares)
+        by_s, by_r = kernels.advance_slopes(kernels.WAVEFRONTS[self.wavefront], s, theta[:, -1], self._squares)
         slopes = np.empty((*theta.shape, self.elements))
         slopes[:, :-1] = by_s[:, None] * (direction_derivatives(theta) @ self._columns)
         slopes[:, -1] = by_r

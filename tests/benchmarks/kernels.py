@@ -102,7 +102,7 @@ def cases(name: str, instance: NearFieldInstance) -> list[Case]:
         return value
 
     rls = RLS(Y, manifold, *box)
-    rows = rls._explained.args[4]
+    rows = rls._projected_energy.args[4]
     made = sum(rows.shape[2] - j // kernels.LANES * kernels.LANES for j in range(rows.shape[1])) / M**2
     return [
         Case(f"RLS {name}", rls, NumPyRLS(Y, manifold, *box), literal(Y, 1), (BATCH, M, M), made),
@@ -167,7 +167,7 @@ def single_points(all_cases: list[Case]) -> Table:
     for case in all_cases:
         X = rng.uniform(case.fast.lower, case.fast.upper, (BATCH, case.fast.dimension))
         x, meter = X[0], MeteredProblem(case.fast, Budget(evaluations=10**9))
-        kernel = case.fast._explained_one if isinstance(case.fast, RLS) else case.fast._kernel_one
+        kernel = case.fast._projected_energy_one if isinstance(case.fast, RLS) else case.fast._kernel_one
         empty = partial(numba.njit(lambda *arguments: 0.0), *kernel.args)
         calls = [
             lambda f=case.fast, x=x: f.value(x),
@@ -177,7 +177,7 @@ def single_points(all_cases: list[Case]) -> Table:
             lambda f=case.fast, x=x: f.value_and_gradient(x),
             lambda f=case.plain, x=x: f.value_and_gradient(x),
             lambda f=empty, x=x: f(x),
-            lambda rows=kernel.args[4 if isinstance(case.fast, RLS) else 6]: read(rows),  # noqa: B008
+            lambda rows=kernel.args[4 if isinstance(case.fast, RLS) else 5]: read(rows),  # noqa: B008
         ]
         for call in calls:
             call()

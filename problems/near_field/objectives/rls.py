@@ -24,11 +24,11 @@ class RLS(Problem):
 
     The first term is the residual of the least-squares fit of one source, as in CLEAN (Högbom 1974) and matching
     pursuit (Mallat & Zhang 1993, doi:10.1109/78.258082). The second pushes away from sources found before; its norm
-    takes radians and metres alike (1 rad, 1 m). Beware: at the paper's α = 1000, δ_min = 0.08 it is at most 80, while
-    ‖Y‖² is about 10⁶, so it decides nothing; ``alpha_relative`` is felt at any SNR.
+    adds radians and metres alike (1 rad, 1 m). At the paper's α = 1000, δ_min = 0.08 it is at most 80 per detected
+    source, while ‖Y‖² is about 10⁶, so it has no effect; ``alpha_relative`` has the same effect at any SNR.
 
     Y: (M, T) data, or any factor of it. lower, upper: (d,) the box of one source [rad, m]. detected: (k, d) the θ_i.
-    alpha_relative: where given, α in units of ‖Y‖²/M. Raises ValueError where shapes differ or Y is not finite.
+    alpha_relative: if given, α in units of ‖Y‖²/M. Raises ValueError where shapes differ or Y is not finite.
     """
 
     has_gradient = True
@@ -55,9 +55,9 @@ class RLS(Problem):
         self._manifold = manifold
         kernels.warm_up()
         factor = *manifold.packed, kernels.pack_rows(compress(Y))
-        self._explained = partial(kernels.projected_energy, *factor)  # ‖aᴴL‖² of points
-        self._explained_one = partial(kernels.projected_energy_one, *factor)  # and of one
-        self._explained_and_gradient = partial(kernels.projected_energy_and_gradient, *factor)
+        self._projected_energy = partial(kernels.projected_energy, *factor)  # ‖aᴴL‖² of points
+        self._projected_energy_one = partial(kernels.projected_energy_one, *factor)  # and of one
+        self._projected_energy_and_gradient = partial(kernels.projected_energy_and_gradient, *factor)
         self._energy = float(np.vdot(Y, Y).real)
         self._detected = np.empty((0, manifold.dimension)) if detected is None else detected
         self._alpha = alpha if alpha_relative is None else alpha_relative * self._energy / manifold.elements
@@ -67,19 +67,19 @@ class RLS(Problem):
         self._repulsion_one = partial(kernels.repulsion_one, *cone)
 
     def evaluate(self, X: Float[ndarray, "p n"]) -> Float[ndarray, " p"]:
-        residual = np.maximum(self._energy - self._explained(X) / self._manifold.elements, 0.0)
+        residual = np.maximum(self._energy - self._projected_energy(X) / self._manifold.elements, 0.0)
         return residual + self._repulsion(X) if len(self._detected) else residual
 
     def value(self, x: Float[ndarray, " n"]) -> float:
-        residual: float = max(self._energy - self._explained_one(x) / self._manifold.elements, 0.0)
+        residual: float = max(self._energy - self._projected_energy_one(x) / self._manifold.elements, 0.0)
         return residual + self._repulsion_one(x) if len(self._detected) else residual
 
     def value_and_gradient(self, x: Float[ndarray, " n"]) -> tuple[float, Float[ndarray, " n"]]:
         """The value and the gradient; of the repulsion a subgradient, zero where it has a kink."""
         M = self._manifold.elements
-        explained, slope = self._explained_and_gradient(x)
+        energy, slope = self._projected_energy_and_gradient(x)
         gradient: Float[ndarray, " n"] = -slope / M
-        value = max(self._energy - explained / M, 0.0)
+        value = max(self._energy - energy / M, 0.0)
         if not len(self._detected):
             return value, gradient
         away = x - self._detected

@@ -17,10 +17,13 @@ from ..wavefronts import Manifold
 __all__ = ["ESF", "RIDGE"]
 
 RIDGE = 1e-13
-"""The least squared distance, relative to M, of a response from the span of those before it.
+"""The least pivot of Cholesky's factorization of G, relative to M.
 
-Cholesky's pivots are these distances. Where candidates coincide they vanish up to rounding, and are raised to this:
-the twin then adds nothing to the span, and J is that of the others. Where they do not, J is not changed by it."""
+A pivot is the squared distance of a response from the span of those before it. Where two candidates coincide it
+vanishes up to rounding, and is raised to this value: the second adds nothing to the span, and J is that of the others.
+Rounding alone changes J by up to about 1e-15·cond(A)², so J has digits as long as cond(A) is below about 1e7. For K
+well below M, only candidates that nearly coincide exceed that. For K near M, candidates that are apart exceed it too:
+J then depends on the order of the candidates, may be wrong in its first digit, and may be NaN."""
 
 
 @final
@@ -28,7 +31,8 @@ class ESF(Problem):
     """J(x) = ‖(I − P_A)U_s‖²_F = K − tr(BᴴG⁻¹B) with G = AᴴA, B = AᴴU_s; x = [θ_1 … θ_K], n = dK, 0 <= J <= K.
 
     Subspace fitting with unit weights (Viberg & Ottersten 1991, doi:10.1109/78.80966); the gradient is that of a
-    variable projection (Golub & Pereyra 1973, doi:10.1137/0710036). It is smooth but where candidates coincide.
+    variable projection (Golub & Pereyra 1973, doi:10.1137/0710036). J is smooth except where candidates coincide, and
+    accurate for K well below M (see RIDGE).
 
     U_s: (M, K) orthonormal. lower, upper: (d,) the box of one source [rad, m]. Raises ValueError where shapes differ.
     """
@@ -49,7 +53,7 @@ class ESF(Problem):
         self._sources = U_s.shape[1]
         self.lower, self.upper = np.tile(lower, self._sources), np.tile(upper, self._sources)
         kernels.warm_up()
-        fit = *manifold.packed, self._sources, RIDGE * manifold.elements, *kernels.pack_subspace(U_s)
+        fit = *manifold.packed, RIDGE * manifold.elements, *kernels.pack_subspace(U_s)
         self._kernel = partial(kernels.esf, *fit)
         self._kernel_one = partial(kernels.esf_one, *fit)
         self._kernel_and_gradient = partial(kernels.esf_and_gradient, *fit)

@@ -58,19 +58,6 @@ def data(manifold: Manifold, sources: int, snapshots: int) -> np.ndarray:
     return Y + complex_normal(rng, Y.shape)
 
 
-def test_sine_and_cosine_of_up_to_1e5_radians():
-    kernels.warm_up()
-    rng = np.random.default_rng(0)
-    eighths = np.arange(-40, 41) / 8
-    turns = np.concatenate([rng.uniform(-1, 1, 20_000), rng.uniform(-16_000, 16_000, 20_000), eighths, eighths + 1e-9])
-    cosine, sine = np.empty_like(turns), np.empty_like(turns)
-    kernels.phasors(turns, cosine, sine)
-    pi = np.longdouble("3.14159265358979323846264338327950288")
-    phase = 2 * pi * (turns.astype(np.longdouble) - np.rint(turns))
-    assert np.abs(cosine - np.cos(phase)).max() <= 3e-16
-    assert np.abs(sine - np.sin(phase)).max() <= 3e-16
-
-
 @EVERY
 @pytest.mark.parametrize("snapshots", [3, 60], ids=["few snapshots", "many"])
 def test_rls_agrees_with_numpy_and_with_the_projector(array, wavefront, has_elevation, snapshots):
@@ -166,7 +153,10 @@ def test_nothing_is_compiled_after_the_warm_up():
         kernels.repulsion(1, 2, 3, 4)
 
 
-PROBE = "from nfbench.problems import kernels; kernels.warm_up(); print(kernels.projected_energy.stats.cache_path)"
+PROBE = (
+    "from nfbench.problems.near_field.objectives import kernels\n"
+    "kernels.warm_up(); print(kernels.projected_energy.stats.cache_path)"
+)
 
 
 def test_the_first_use_says_that_it_compiles_and_the_second_is_silent(tmp_path):
@@ -186,28 +176,11 @@ def test_the_first_use_says_that_it_compiles_and_the_second_is_silent(tmp_path):
     assert first.stdout.startswith(str(tmp_path))
 
 
-def test_a_read_only_install_keeps_its_cache_in_the_users_folder(tmp_path):
-    copy = tmp_path / "install" / "kernels.py"
-    copy.parent.mkdir()
-    copy.write_text(Path(kernels.__file__).read_text(encoding="utf-8"), encoding="utf-8")
-    (copy.parent / "__pycache__").write_text("no folder can be made here, not even by root")
-    code = f"import runpy; print(runpy.run_path({str(copy)!r})['esf'].stats.cache_path)"
-    environment = {name: value for name, value in os.environ.items() if name != "NUMBA_CACHE_DIR"}
-    done = subprocess.run(
-        [sys.executable, "-c", code],
-        env={**environment, "HOME": str(tmp_path), "XDG_CACHE_HOME": str(tmp_path / "cache")},
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    assert done.stdout.startswith(str(tmp_path / "cache"))
-
-
 def test_where_no_cache_can_be_kept_the_error_says_what_to_do():
     code = (
         "from numba.core import caching; caching.CacheImpl._locator_classes = []\n"
         "from nfbench import NfbenchError\n"
-        "try:\n    import nfbench.problems.kernels\n"
+        "try:\n    import nfbench.problems.near_field.objectives.kernels\n"
         "except NfbenchError as error:\n    print(error)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

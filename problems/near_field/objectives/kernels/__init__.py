@@ -1,0 +1,71 @@
+"""The compiled kernels of the objectives: response vectors, RLS and subspace fitting, for one point or a batch.
+
+A value does not depend on which other points are evaluated with it. Kernels are compiled once per machine and kept on
+disk; ``warm_up`` loads them before any clock runs.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+from numba import types
+
+from nfbench import load_kernels
+
+from .packing import LANES, WAVEFRONTS, pack_geometry, pack_rows, pack_subspace
+from .response_vectors import advance_slopes, phasors, responses
+from .rls import (
+    projected_energy,
+    projected_energy_and_gradient,
+    projected_energy_one,
+    repulsion,
+    repulsion_one,
+)
+from .subspace_fitting import esf, esf_and_gradient, esf_one
+
+__all__ = [
+    "LANES",
+    "WAVEFRONTS",
+    "advance_slopes",
+    "esf",
+    "esf_and_gradient",
+    "esf_one",
+    "pack_geometry",
+    "pack_rows",
+    "pack_subspace",
+    "phasors",
+    "projected_energy",
+    "projected_energy_and_gradient",
+    "projected_energy_one",
+    "repulsion",
+    "repulsion_one",
+    "responses",
+    "warm_up",
+]
+
+_VECTOR, _MATRIX, _ROWS = (types.Array(types.float64, n, "C") for n in (1, 2, 3))
+_POINT, _POINTS = (types.Array(types.float64, n, "A", readonly=True, aligned=False) for n in (1, 2))  # any strides
+_C1, _C2 = types.complex128[::1], types.complex128[:, ::1]
+_ARRAY = (types.float64, types.int64, _MATRIX, types.int64)  # the fields of ArrayModel
+_SUBSPACE = (types.float64, _ROWS, _C1, _C2, _C2)  # least, rows, h, L, W
+_REPULSION = (_POINTS, types.float64, types.float64)
+_SIGNATURES: list[tuple[Any, tuple[Any, ...]]] = [
+    (phasors, (_VECTOR,) * 3),  # the quickest to compile
+    (responses, (*_ARRAY, _POINTS)),
+    (advance_slopes, (types.int64, _MATRIX, _POINT, _VECTOR)),
+    (projected_energy, (*_ARRAY, _ROWS, _POINTS)),
+    (projected_energy_one, (*_ARRAY, _ROWS, _POINT)),
+    (projected_energy_and_gradient, (*_ARRAY, _ROWS, _POINT)),
+    (repulsion, (*_REPULSION, _POINTS)),
+    (repulsion_one, (*_REPULSION, _POINT)),
+    (esf, (*_ARRAY, *_SUBSPACE, _POINTS)),
+    (esf_one, (*_ARRAY, *_SUBSPACE, _POINT)),
+    (esf_and_gradient, (*_ARRAY, *_SUBSPACE, _POINT)),
+]
+
+
+@cache
+def warm_up() -> None:
+    """Load every kernel from the cache, or compile it and say so on stderr; nothing is compiled after this."""
+    load_kernels(_SIGNATURES, "compiling kernels (once per machine, some 15 s)")
