@@ -196,7 +196,7 @@ def test_signal_subspace_has_a_phase_of_its_own():
 def test_a_subspace_beyond_the_data_is_refused():
     Y = complex_normal(np.random.default_rng(0), (5, 7))
     for sources in (0, 6):
-        with pytest.raises(ValueError, match=f"sources: expected 1 to M = 5, got {sources}"):
+        with pytest.raises(ValueError, match=f"sources: expected a number from 1 to M = 5, got {sources}"):
             signal_subspace(Y, sources)
     with pytest.raises(Incompatible, match=r"snapshots: expected at least 6 for the signal subspace of 6 .*, got 5"):
         signal_subspace(Y.T, 6)
