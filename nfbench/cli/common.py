@@ -10,6 +10,8 @@ from typing import Annotated, Any
 import typer
 from rich.console import Console
 
+from nfbench.core import printable
+
 __all__ = [
     "INTERRUPTED",
     "NOT_ALL_OK",
@@ -53,6 +55,7 @@ def output() -> Console:
 
 def warn(text: str) -> None:
     """Print a warning on standard error."""
+    text = printable(text, limit=2**16)
     Console(stderr=True).print(f"nfbench: {text}", style="yellow", highlight=False, markup=False, soft_wrap=True)
 
 

@@ -9,10 +9,11 @@ import typer
 from rich.console import Console
 
 from nfbench import __version__
-from nfbench.core import NfbenchError
+from nfbench.core import NfbenchError, printable
 
 from . import plugin_commands, results_commands, study_commands, tune_command  # noqa: F401  # importing them registers the commands
-from .common import OK, USAGE, app
+from .common import INTERRUPTED, USAGE, app
+from .streams import tolerant_streams
 
 __all__ = ["main"]
 
@@ -28,11 +29,21 @@ def about(
 
 
 def main() -> None:
-    """Run the command line. Errors of nfbench end in a message and an exit code, never in a traceback."""
-    try:
-        app(standalone_mode=True)
-    except NfbenchError as error:
-        Console(stderr=True).print(f"nfbench: {error}", style="red", highlight=False, markup=False, soft_wrap=True)
-        sys.exit(USAGE)
-    except BrokenPipeError:
-        sys.exit(OK)
+    """Run the command line. Errors end in a message and an exit code, never in a traceback."""
+    with tolerant_streams():
+        try:
+            app(standalone_mode=True)
+        except NfbenchError as error:
+            _report(str(error))
+            sys.exit(USAGE)
+        except KeyboardInterrupt:
+            _report("interrupted")
+            sys.exit(INTERRUPTED)
+        except (OSError, MemoryError, RecursionError) as error:  # of the machine, such as a full disk
+            _report(f"{type(error).__name__}: {error}")
+            sys.exit(USAGE)
+
+
+def _report(text: str) -> None:
+    text = "\n".join(printable(line, limit=2**16) for line in text.splitlines())
+    Console(stderr=True).print(f"nfbench: {text}", style="red", highlight=False, markup=False, soft_wrap=True)

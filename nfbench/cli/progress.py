@@ -51,8 +51,8 @@ class _Tally:
         if record.status is not Status.OK:
             self._bad[record.status] += 1
         elif not math.isnan(record.scores.get(self._error, math.nan)):
-            square = self._squares[spec.method.label]
-            square[0] += record.scores[self._error] ** 2
+            square, error = self._squares[spec.method.label], record.scores[self._error]
+            square[0] += error * error  # of a huge error this is inf, where a power would raise OverflowError
             square[1] += 1
 
     @property

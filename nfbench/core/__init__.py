@@ -17,6 +17,7 @@ from .errors import (
     PluginError,
     StoreError,
     explain,
+    message_of,
 )
 from .formulation import Formulation, Minimize
 from .meter import MeteredProblem
@@ -38,9 +39,11 @@ from .options import (
     suggest,
 )
 from .problem import Problem
+from .process import cause_of_end, die_with_parent, end_group_at_eof
 from .scenario import Extra, Instance, ProblemInstance, Scenario
 from .solver import AskTell, AskTellSolver, Solver, SolverInfo
 from .status import Status
+from .text import printable
 from .trace import MAX_ROWS, Trace
 
 __all__ = [
@@ -81,8 +84,13 @@ __all__ = [
     "Tune",
     "build",
     "canonical",
+    "cause_of_end",
+    "die_with_parent",
+    "end_group_at_eof",
     "explain",
+    "message_of",
     "minimize",
+    "printable",
     "relative_to",
     "suggest",
 ]

@@ -9,6 +9,11 @@ import traceback
 from collections.abc import Iterable
 from pathlib import Path
 
+from .text import printable
+
+SHOWN = 50  # errors in one message; the others are counted
+LONGEST = 2000  # bytes of one error
+
 
 class NfbenchError(Exception):
     """Base class of the errors that nfbench reports to its users."""
@@ -23,16 +28,19 @@ class OptionError(NfbenchError, ValueError):
     def __init__(self, owner: str, problems: Iterable[tuple[str, str]]) -> None:
         self.owner = owner
         self.problems = list(problems)
-        super().__init__("; ".join(f"{owner}: {path}: {text}" for path, text in self.problems))
+        super().__init__("; ".join(_first(f"{owner}: {path}: {text}" for path, text in self.problems)))
 
 
 class ManifestError(NfbenchError):
-    """A manifest is invalid; ``problems`` lists every error as ``path: message``."""
+    """A manifest is invalid; ``problems`` lists every error as ``path: message``.
+
+    The message shows the first 50 of them and the number of the others.
+    """
 
     def __init__(self, source: str, problems: Iterable[str]) -> None:
         self.source = source
-        self.problems = list(problems)
-        super().__init__("\n".join([f"{source}:", *(f"  {text}" for text in self.problems)]))
+        self.problems = [_one_line(text) for text in problems]
+        super().__init__("\n".join([f"{_one_line(source)}:", *(f"  {text}" for text in _first(self.problems))]))
 
 
 class PluginError(NfbenchError):
@@ -73,4 +81,24 @@ def explain(error: BaseException) -> str:
     """Describe an exception in one line: its type, its message, and the file and line that raised it."""
     frames = traceback.extract_tb(error.__traceback__)
     where = f" ({Path(frames[-1].filename).name}:{frames[-1].lineno})" if frames else ""
-    return f"{type(error).__name__}: {error}{where}"
+    return f"{type(error).__name__}: {message_of(error)}{where}"
+
+
+def message_of(error: BaseException) -> str:
+    """The message of an exception, also of one whose own ``__str__`` fails."""
+    try:
+        return str(error)
+    except Exception:
+        return "(its message cannot be read)"
+
+
+def _first(texts: Iterable[str]) -> list[str]:
+    """Return the first texts, each in one line, and how many more there are."""
+    lines = list(texts)
+    shown = [_one_line(text) for text in lines[:SHOWN]]
+    left = len(lines) - SHOWN
+    return shown if left <= 0 else [*shown, f"… and {left:,} more (the first {SHOWN} of {len(lines):,} are shown)"]
+
+
+def _one_line(text: str) -> str:
+    return text if len(text) <= LONGEST and text.isprintable() else printable(text, LONGEST)

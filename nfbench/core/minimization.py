@@ -8,7 +8,7 @@ import time
 import numpy as np
 
 from .budget import Budget
-from .errors import BudgetExhausted, Incompatible, explain
+from .errors import BudgetExhausted, Incompatible, explain, message_of
 from .meter import MeteredProblem
 from .minimum import Minimum
 from .problem import Problem
@@ -80,7 +80,7 @@ def _run_solver(solver: Solver, meter: MeteredProblem, rng: np.random.Generator)
     except BudgetExhausted:
         pass
     except Incompatible as error:
-        return Status.SKIPPED, str(error)
+        return Status.SKIPPED, message_of(error)
     except MemoryError:
         raise  # concerns the whole run, which ends as crashed
     except Exception as error:

@@ -2,28 +2,70 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
+import signal
 from collections.abc import Iterable
+from multiprocessing import get_context
+from typing import Any
 
+from nfbench.core import NfbenchError, Scenario, Solver
 from nfbench.plugins import Registry
 from nfbench.study import PluginSpec, Study
 
 __all__ = ["warm_up"]
 
+LONGEST_S = 600.0  # time limit for the warm-up of one plugin of somebody else
+
 
 def warm_up(study: Study, solvers: Iterable[PluginSpec] | None = None) -> None:
-    """Warm up the scenario and the solvers in this process, where the user sees their messages.
+    """Warm up the scenario and the solvers, where the user sees their messages. Workers then find the compiled code.
 
-    Workers then find the compiled code. Plugins that cannot be imported are skipped; their runs fail later.
+    A plugin that cannot be made, or whose ``warm_up`` fails, is left out: its runs fail later, with the reason. The
+    ``warm_up`` of a plugin that is not nfbench's own runs in a process of its own.
 
     study: the study whose scenario is warmed up.
     solvers: the solvers to warm up; None: all solvers of the study.
+
+    Raises NfbenchError if nfbench's own kernels cannot be compiled.
     """
     registry = Registry(study.plugins)
     if solvers is None:
         solvers = [method.solver for method in study.methods if method.solver]
-    scenario = study.points[0].scenario
-    if not scenario.broken:
-        registry.make("scenario", scenario.kind, scenario.options).warm_up()
+    _warm_up_one(registry, study, "scenario", study.points[0].scenario)
     for solver in {solver.kind: solver for solver in solvers}.values():
-        if not solver.broken:
-            registry.make("solver", solver.kind, solver.options).warm_up()
+        _warm_up_one(registry, study, "solver", solver)
+
+
+def _warm_up_one(registry: Registry, study: Study, kind: str, spec: PluginSpec) -> None:
+    if spec.broken:
+        return
+    try:
+        plugin = registry.make(kind, spec.kind, spec.options)
+    except NfbenchError:
+        return
+    assert isinstance(plugin, Scenario | Solver)
+    if type(plugin).warm_up in (Scenario.warm_up, Solver.warm_up):
+        return
+    if registry.find(kind, spec.kind).origin.partition(" ")[0] == "nfbench":
+        plugin.warm_up()
+        return
+    process = get_context("spawn").Process(
+        target=_warm_up_elsewhere, args=(study.plugins, kind, spec.kind, spec.options), daemon=True
+    )
+    process.start()
+    process.join(LONGEST_S)
+    if process.pid is not None:
+        with contextlib.suppress(ProcessLookupError, PermissionError):
+            os.killpg(process.pid, signal.SIGKILL)  # and what it has started
+    process.kill()
+    process.join()
+
+
+def _warm_up_elsewhere(plugins: tuple[str, ...], kind: str, name: str, options: dict[str, Any]) -> None:
+    os.setsid()
+    with contextlib.suppress(BaseException):  # the plugin's runs fail for the same reason, and report it
+        plugin = Registry(plugins).make(kind, name, options)
+        assert isinstance(plugin, Scenario | Solver)
+        plugin.warm_up()
+    os._exit(0)

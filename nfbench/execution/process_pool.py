@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import contextlib
 import math
+import os
 import signal
-import tempfile
 import threading
 import time
 from collections import deque
@@ -25,13 +25,16 @@ from typing import Self
 from nfbench.core import NfbenchError, Status
 from nfbench.study import RunRecord, RunSpec
 
-from .worker import last_output, serve
+from .scratch import ScratchFolder
+from .worker import BLOCKED_AT_START, last_output, serve
 
 __all__ = ["ProcessPool"]
 
 MAX_FAILED_STARTS = 3  # consecutive failures after which the pool gives up
 GROWTH_MB = 1024.0  # growth of a worker's memory [MiB] after which it is replaced
 CLOSING_S = 5.0  # time for workers to end by themselves
+LONGEST_WAIT_S = 3600.0  # longer than this, the system cannot wait at once
+POLL_S = 0.5  # between two looks at whether a worker is alive, where the system does not say so
 
 
 @dataclass(eq=False)
@@ -40,6 +43,7 @@ class _Worker:
 
     process: BaseProcess
     pipe: Connection
+    exit: int  # a descriptor that becomes readable when the process, and not only its pipe, is gone
     ready: bool = False
     spec: RunSpec | None = None
     future: Future[RunRecord] | None = None
@@ -58,12 +62,12 @@ class ProcessPool:
 
     def __init__(self, plugins: Iterable[str | Path], jobs: int) -> None:
         self._plugins, self._jobs = tuple(plugins), jobs
-        self._folder = tempfile.TemporaryDirectory(prefix="nfbench-", ignore_cleanup_errors=True)
+        self._folder = ScratchFolder()
         self._spawn = get_context("spawn")
         self._woken, self._waker = self._spawn.Pipe(duplex=False)
         self._queue: deque[tuple[RunSpec, Future[RunRecord]]] = deque()
         self._workers: list[_Worker] = []
-        self._failed_starts = 0
+        self._failed_starts = 0.0
         self._error: NfbenchError | None = None
         self._closing = self._killing = False
         self._supervisor = threading.Thread(target=self._supervise, name="nfbench-supervisor", daemon=True)
@@ -98,6 +102,8 @@ class ProcessPool:
     # --- the supervisor's thread, which alone touches the workers ---------------------------------------------------
 
     def _supervise(self) -> None:
+        # inherited by workers, so that Ctrl-C does not reach them before they have their own handlers
+        signal.pthread_sigmask(signal.SIG_BLOCK, BLOCKED_AT_START)
         try:
             while not self._killing:
                 self._start_workers()
@@ -135,11 +141,11 @@ class ProcessPool:
         idle = sum(worker.spec is None for worker in self._workers)
         for _ in range(min(self._jobs - len(self._workers), len(self._queue) - idle)):
             ours, theirs = self._spawn.Pipe()
-            arguments = (theirs, self._plugins, self._folder.name, GROWTH_MB)
+            arguments = (theirs, self._plugins, str(self._folder.path), GROWTH_MB)
             process = self._spawn.Process(target=serve, args=arguments, daemon=True)
             process.start()
             theirs.close()
-            self._workers.append(_Worker(process, ours))
+            self._workers.append(_Worker(process, ours, _exit_descriptor(process)))
 
     def _assign(self) -> None:
         for worker in self._workers:
@@ -157,15 +163,18 @@ class ProcessPool:
     def _listen(self) -> None:
         """Wait for a message or the death of a worker, a deadline, or a new run; then handle it."""
         pipes: dict[object, _Worker] = {worker.pipe: worker for worker in self._workers}
+        exits: dict[object, _Worker] = {worker.exit: worker for worker in self._workers if worker.exit >= 0}
         remaining = min((worker.deadline for worker in self._workers), default=math.inf) - time.monotonic()
-        timeout = None if math.isinf(remaining) else max(remaining, 0.0)
-        readable = wait([*pipes, self._woken], timeout)  # type: ignore[list-item]
+        timeout = min(max(remaining, 0.0), LONGEST_WAIT_S if exits or not pipes else POLL_S)
+        readable = wait([*pipes, *exits, self._woken], timeout)  # type: ignore[list-item]
         if self._woken in readable:
             while self._woken.poll():
                 self._woken.recv_bytes()
-        for pipe, worker in pipes.items():
-            if pipe in readable:
+        for worker in list(self._workers):
+            if worker.pipe in readable:
                 self._receive(worker)
+            elif worker.exit in readable or (worker.exit < 0 and not worker.process.is_alive()):
+                self._report_death(worker)  # its pipe is still held by a process that it has started
             elif time.monotonic() >= worker.deadline:
                 limit = worker.spec.method.run_timeout_s if worker.spec else None
                 text = f"stopped after run_timeout_s = {limit:g} s"
@@ -175,48 +184,83 @@ class ProcessPool:
         try:
             message = worker.pipe.recv()
         except Exception:  # the pipe was closed, or only part of a message was sent
-            worker.process.join(CLOSING_S)
-            output = last_output(self._folder.name, worker.process.pid)
-            cause = f"its process died: {_cause(worker.process.exitcode)}{f': {output}' if output else ''}"
-            self._fail_worker(worker, Status.CRASHED, cause)
+            self._report_death(worker)
             return
         if not worker.ready:
             worker.ready, self._failed_starts = True, 0
-        elif worker.future:
-            record, retires = message
-            future, worker.spec, worker.future, worker.deadline = worker.future, None, None, math.inf
-            if retires:
-                self._remove(worker)
-            future.set_result(record)
+            return
+        try:
+            record, replace = message
+            expected = worker.spec is not None and isinstance(record, RunRecord) and record.run_id == worker.spec.run_id
+        except Exception:
+            expected = False
+        if not expected or not worker.future:
+            return  # from another process that holds the pipe: a run's record is accepted from its own run only
+        future, worker.spec, worker.future, worker.deadline = worker.future, None, None, math.inf
+        if replace:
+            self._remove(worker)
+        future.set_result(record)
+
+    def _report_death(self, worker: _Worker) -> None:
+        """The worker has died, or has closed its pipe and is killed: its run ends as crashed."""
+        worker.process.join(CLOSING_S)
+        output = last_output(str(self._folder.path), worker.process.pid)
+        cause = f"its process died: {_cause(worker.process.exitcode)}{f': {output}' if output else ''}"
+        self._fail_worker(worker, Status.CRASHED, cause)
 
     def _fail_worker(self, worker: _Worker, status: Status, message: str, runtime_s: float = math.nan) -> None:
         """Remove a worker that is dead or must be killed; its run, if it has one, ends with this status."""
         self._remove(worker)
         if not worker.ready:
-            self._failed_starts += 1
+            killed = worker.process.exitcode == -signal.SIGKILL  # by somebody else, who may do it again and again
+            self._failed_starts += 0.1 if killed else 1
             self._last_output = message
         if worker.future and worker.spec:
             worker.future.set_result(RunRecord(worker.spec.run_id, status, message, runtime_s=runtime_s))
 
     def _remove(self, worker: _Worker) -> None:
-        worker.process.kill()
-        worker.process.join()
-        worker.pipe.close()
         self._workers.remove(worker)
+        _kill(worker)
 
     def _end_workers(self) -> None:
+        if not self._killing:
+            for worker in self._workers:
+                worker.pipe.close()  # an idle worker ends when its pipe is closed
+            deadline = time.monotonic() + CLOSING_S
+            for worker in self._workers:
+                worker.process.join(max(deadline - time.monotonic(), 0.0))
         for worker in self._workers:
-            if self._killing:
-                worker.process.kill()
-            worker.pipe.close()  # an idle worker ends when its pipe is closed
-        deadline = time.monotonic() + CLOSING_S
-        for worker in self._workers:
-            worker.process.join(max(deadline - time.monotonic(), 0.0))
-            worker.process.kill()
-            worker.process.join()
+            _kill(worker)
+
+
+def _kill(worker: _Worker) -> None:
+    """Kill the process with every process that it has started, and close its descriptors."""
+    pid = worker.process.pid
+    if worker.ready and pid is not None:  # it leads its own group since it reported that it is ready
+        with contextlib.suppress(ProcessLookupError, PermissionError):
+            os.killpg(pid, signal.SIGKILL)
+    worker.process.kill()
+    worker.process.join()
+    worker.pipe.close()
+    if worker.exit >= 0:
+        os.close(worker.exit)
+
+
+def _exit_descriptor(process: BaseProcess) -> int:
+    """A descriptor that becomes readable when the process ends; -1 where the system has none."""
+    if not hasattr(os, "pidfd_open") or process.pid is None:
+        return -1
+    try:
+        return os.pidfd_open(process.pid)
+    except OSError:
+        return -1
 
 
 def _cause(exitcode: int | None) -> str:
     if exitcode is None or exitcode >= 0:
         return f"exit code {exitcode}"
-    return f"signal {-exitcode} ({signal.Signals(-exitcode).name})"
+    try:
+        name = signal.Signals(-exitcode).name
+    except ValueError:  # a real-time signal has a number only
+        name = f"SIGRTMIN+{-exitcode - signal.SIGRTMIN}"
+    return f"signal {-exitcode} ({name})"

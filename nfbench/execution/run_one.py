@@ -8,33 +8,57 @@ from typing import Any
 
 import numpy as np
 
-from nfbench.core import MAX_ROWS, Budget, Incompatible, Minimum, NfbenchError, Problem, Status, explain, minimize
+from nfbench.core import (
+    MAX_ROWS,
+    Budget,
+    Incompatible,
+    Minimum,
+    NfbenchError,
+    Problem,
+    Status,
+    explain,
+    message_of,
+    minimize,
+    printable,
+)
 from nfbench.plugins import Registry
 from nfbench.study import PluginSpec, RunRecord, RunSpec
+
+from .storable import Unstorable, plain_estimate, plain_scores
 
 __all__ = ["execute"]
 
 
-def execute(spec: RunSpec, registry: Registry) -> RunRecord:
-    """Draw the instance, solve it, and score the estimate. Raises nothing but KeyboardInterrupt."""
+def execute(spec: RunSpec, registry: Registry, *, interruptible: bool = True) -> RunRecord:
+    """Draw the instance, solve it, and score the estimate; the record can be stored whatever the plugins did.
+
+    interruptible: whether a KeyboardInterrupt is the user's and passed on. In a worker process it is the plugin's own.
+    Raises nothing else.
+    """
     attempt = _Attempt(spec, registry)
     try:
         status, message = attempt.run()
     except _Ended as ended:
-        status, message = ended.status, str(ended)
+        status, message = ended.status, message_of(ended)
+    except Unstorable as error:
+        status, message = Status.INVALID, message_of(error)
     except Incompatible as error:
-        status, message = Status.SKIPPED, str(error)
+        status, message = Status.SKIPPED, message_of(error)
     except NfbenchError as error:
-        status, message = Status.FAILED, str(error)
+        status, message = Status.FAILED, message_of(error)
     except MemoryError as error:
         status, message = Status.CRASHED, f"ran out of memory: {explain(error)}"
-    except (Exception, SystemExit) as error:
+    except KeyboardInterrupt as error:
+        if interruptible:
+            raise
+        status, message = Status.FAILED, explain(error)
+    except BaseException as error:  # a plugin may raise any, such as SystemExit or GeneratorExit
         status, message = Status.FAILED, explain(error)
     minima = attempt.minima
     return RunRecord(
         run_id=spec.run_id,
         status=status,
-        message=message,
+        message=printable(message),
         objective=minima[-1].value if minima else math.nan,
         evaluations=sum(minimum.evaluations for minimum in minima),
         runtime_s=attempt.runtime_s,
@@ -85,12 +109,13 @@ class _Attempt:
 
         wall, cpu = time.perf_counter(), time.process_time()
         try:
-            estimate = np.asarray(formulation.solve(instance, minimize_next))
+            found = formulation.solve(instance, minimize_next)
         finally:
             self.runtime_s, self.cpu_s = time.perf_counter() - wall, time.process_time() - cpu
+        estimate = plain_estimate(found)
         self.estimate = estimate.tolist()
         try:
-            self.scores = {name: float(score) for name, score in instance.score(estimate).items()}
+            self.scores = plain_scores(instance.score(estimate))
         except ValueError as error:
             raise _Ended(Status.INVALID, f"estimate: {error}") from error
         if estimate.size and math.isnan(self.scores.get(scenario.error, math.nan)):

@@ -8,33 +8,39 @@ import faulthandler
 import os
 import signal
 import sys
+from collections import Counter
 from collections.abc import Iterator
 from multiprocessing.connection import Connection
 from pathlib import Path
+from types import FrameType
 
 from threadpoolctl import threadpool_limits
 
+from nfbench.core import Status, printable
 from nfbench.plugins import Registry
 from nfbench.study import RunRecord, RunSpec
 
+from .containment import Containment, moved_up
 from .environment import THREAD_VARIABLES
 from .run_one import execute
 
-__all__ = ["last_output", "serve"]
+__all__ = ["BLOCKED_AT_START", "last_output", "serve"]
 
-_registry: Registry | None = None
-
+BLOCKED_AT_START = (signal.SIGINT, signal.SIGTERM)  # until the worker has its own handlers
+THOROUGH_EVERY = 32  # runs of a method after which shared modules are compared again, from the first run on
+LARGEST_ADDRESS = 2**62  # more than any process has [bytes]
 TAIL = 400  # characters kept of a dead worker's output
 
 
 def serve(pipe: Connection, plugins: tuple[str | Path, ...], folder: str, growth_mb: float) -> None:
     """Report that the worker is ready, then receive specs and send back their records until the pipe is closed.
 
-    Each record comes with a flag that says whether the worker must be replaced: its memory has grown by more than
-    ``growth_mb`` [MiB] since its first run. Otherwise, a library that never frees its memory would fill the machine
-    in a long study.
+    Each record comes with a flag that says whether the worker must be replaced, because the next run might be affected:
+    the run did not end well, it changed something in the process (see ``containment``), or the memory has grown by more
+    than ``growth_mb`` [MiB] since the first run, as with a library that never frees it.
     """
-    start(plugins, folder)
+    pipe = Connection(moved_up(os.dup(pipe.fileno())))
+    worker = _Worker(plugins, folder, pipe.fileno())
     pipe.send(None)
     before = None
     while True:
@@ -42,35 +48,69 @@ def serve(pipe: Connection, plugins: tuple[str | Path, ...], folder: str, growth
             spec = pipe.recv()
         except EOFError:
             return
-        record = work(spec)
+        record, replace = worker.execute(spec)
+        if os.getpid() != worker.pid:  # a copy of the worker that the run has forked
+            os._exit(0)
         before = _resident_mb() if before is None else before
-        pipe.send((record, _resident_mb() - before > growth_mb))
+        pipe.send((record, replace or _resident_mb() - before > growth_mb))
 
 
-def start(plugins: tuple[str | Path, ...], folder: str) -> None:
-    """Set up the process: ignore Ctrl-C, send output to a file in ``folder``, use one thread, import plugins."""
-    global _registry
+class _Worker:
+    """The state of the process: its plugins, where its output goes, and what a run must not change."""
+
+    def __init__(self, plugins: tuple[str | Path, ...], folder: str, pipe: int) -> None:
+        self.pid = os.getpid()
+        _separate_from_parent()
+        output = os.open(_output(folder, self.pid), os.O_CREAT | os.O_RDWR | os.O_APPEND | os.O_TRUNC, 0o600)
+        self._output = moved_up(output)
+        for stream in (1, 2):
+            os.dup2(self._output, stream)
+        sys.stdout = os.fdopen(1, "w", buffering=1, encoding="utf-8", errors="replace", closefd=False)
+        sys.stderr = os.fdopen(2, "w", buffering=1, encoding="utf-8", errors="replace", closefd=False)
+        faulthandler.enable(self._output)
+        for name in THREAD_VARIABLES:  # for libraries loaded from now on; threadpool_limits covers the loaded ones
+            os.environ[name] = "1"
+        self._registry = Registry(plugins)
+        threadpool_limits(1)  # one BLAS thread, so that sums are bit-for-bit the same on any number of workers
+        self._containment = Containment([pipe, self._output])
+        self._runs: Counter[str] = Counter()  # by method
+
+    def execute(self, spec: RunSpec) -> tuple[RunRecord, bool]:
+        """Execute one run; say whether the process must be replaced after it.
+
+        The output file is emptied first, so that it holds the output of one run only.
+        """
+        os.ftruncate(self._output, 0)
+        with _memory_limit(spec.method.run_memory_mb):
+            record = execute(spec, self._registry, interruptible=False)
+        number = self._runs[spec.method.label]
+        self._runs[spec.method.label] += 1
+        ended_well = record.status in (Status.OK, Status.SKIPPED)
+        return record, not ended_well or self._containment.changed(number % THOROUGH_EVERY == 0) is not None
+
+
+def _separate_from_parent() -> None:
+    """Make the process the leader of its own session, which is killed as a whole and not reached by Ctrl-C.
+
+    SIGINT and SIGTERM have no effect here: the parent process decides whether a run is finished or killed. Processes
+    that a run starts are not affected by that, so that a library can end its own.
+    """
     _die_with_parent()
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, signal.SIG_DFL)  # the default ends the process at once, even in native code
-    output = os.open(_output(folder, os.getpid()), os.O_CREAT | os.O_RDWR | os.O_APPEND | os.O_TRUNC, 0o600)
-    for stream in (1, 2):
-        os.dup2(output, stream)
-    sys.stdout = os.fdopen(1, "w", buffering=1, encoding="utf-8", errors="replace", closefd=False)
-    sys.stderr = os.fdopen(2, "w", buffering=1, encoding="utf-8", errors="replace", closefd=False)
-    faulthandler.enable(2)
-    for name in THREAD_VARIABLES:  # for libraries loaded from now on; threadpool_limits covers the loaded ones
-        os.environ[name] = "1"
-    _registry = Registry(plugins)
-    threadpool_limits(1)  # one BLAS thread, so that sums are bit-for-bit the same on any number of workers
+    with contextlib.suppress(OSError):
+        os.setsid()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, _ignore)  # a handler, other than SIG_IGN, is not inherited by a program that is started
+    os.register_at_fork(after_in_child=_restore_signals)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, BLOCKED_AT_START)
 
 
-def work(spec: RunSpec) -> RunRecord:
-    """Execute one run. The output file is emptied first, so that it holds the output of one run only."""
-    assert _registry is not None
-    os.ftruncate(1, 0)
-    with _memory_limit(spec.method.run_memory_mb):
-        return execute(spec, _registry)
+def _ignore(number: int, frame: FrameType | None) -> None:
+    """Do nothing."""
+
+
+def _restore_signals() -> None:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
 
 
 def last_output(folder: str, pid: int | None) -> str:
@@ -83,7 +123,8 @@ def last_output(folder: str, pid: int | None) -> str:
     path.unlink(missing_ok=True)
     lines = [line.strip() for line in text.splitlines()]
     shown = [line for line in lines if line and not line.startswith(("Extension modules:", "Current thread", "Thread"))]
-    return " | ".join(shown)[-TAIL:] if "Fatal Python error" not in text else " | ".join(shown)[:TAIL]
+    joined = printable(" | ".join(shown), limit=10**6)
+    return joined[-TAIL:] if "Fatal Python error" not in text else joined[:TAIL]
 
 
 def _die_with_parent() -> None:
@@ -115,8 +156,11 @@ def _memory_limit(megabytes: int | None) -> Iterator[None]:
 
     pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
     soft, hard = resource.getrlimit(resource.RLIMIT_AS)
-    resource.setrlimit(resource.RLIMIT_AS, (pages * resource.getpagesize() + megabytes * 2**20, hard))
+    limit = pages * resource.getpagesize() + megabytes * 2**20
+    largest = LARGEST_ADDRESS if hard == resource.RLIM_INFINITY else hard
+    resource.setrlimit(resource.RLIMIT_AS, (min(limit, largest), hard))
     try:
         yield
     finally:
-        resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
+        with contextlib.suppress(OSError, ValueError):  # the run has lowered the hard limit; the worker is replaced
+            resource.setrlimit(resource.RLIMIT_AS, (soft, hard))

@@ -9,36 +9,41 @@ import hashlib
 import importlib.util
 import inspect
 import re
-import signal
-import sys
-import threading
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, is_dataclass
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
-from types import FrameType, ModuleType
+from types import ModuleType
 from typing import Any, Literal, overload
 
 from nfbench.core import (
     Extra,
     Formulation,
     MissingExtra,
+    NfbenchError,
     OptionError,
     Options,
     PluginError,
     Scenario,
     Solver,
+    SolverInfo,
     build,
     explain,
     suggest,
 )
 
+from .importing import import_file
+
 __all__ = ["CONTRACTS", "Plugin", "Registry"]
 
 _active: contextvars.ContextVar[Registry | None] = contextvars.ContextVar("active", default=None)
 
-IMPORT_S = 120.0  # time limit for the import of a plugin file [s]
 CONTRACTS: dict[str, type[Options]] = {"solver": Solver, "formulation": Formulation, "scenario": Scenario}
+_REQUIRED: dict[str, dict[str, type]] = {  # class variables that the framework relies on
+    "solver": {"info": SolverInfo},
+    "formulation": {"accepts": type, "needs_solver": bool},
+    "scenario": {"instance": type, "error": str},
+}
 
 
 @dataclass(frozen=True)
@@ -63,11 +68,9 @@ class Plugin:
 
         Raises PluginError, with the plugin and the cause, if the import fails or the object is not a valid plugin.
         """
-        if isinstance(self.load, type):
-            return self.load
         try:
-            cls = self.load.load()
-        except Exception as error:
+            cls = self.load if isinstance(self.load, type) else self.load.load()
+        except (Exception, SystemExit) as error:
             raise PluginError(f"{self.kind} {self.name} of {self.origin} failed to import: {explain(error)}") from error
         contract = CONTRACTS[self.kind]
         if not (isinstance(cls, type) and issubclass(cls, contract) and is_dataclass(cls)):
@@ -75,6 +78,12 @@ class Plugin:
                 f"{self.kind} {self.name} of {self.origin}: expected a frozen dataclass derived from "
                 f"nfbench.{contract.__name__}, got {cls!r}"
             )
+        for attribute, expected in _REQUIRED[self.kind].items():
+            if not isinstance(found := getattr(cls, attribute, None), expected):
+                raise PluginError(
+                    f"{self.kind} {self.name} of {self.origin}: expected the class variable `{attribute}` to be "
+                    f"a {expected.__name__}, got {found!r}"
+                )
         return cls
 
     def missing(self, made: Options | None = None) -> str | None:
@@ -145,9 +154,14 @@ class Registry:
         token = _active.set(self)
         try:
             made = build(plugin.resolve(), options)
+            missing = plugin.missing(made)
+        except (NfbenchError, MemoryError):
+            raise
+        except (Exception, SystemExit) as error:  # of the plugin's own validate, __init__ or needed_extra
+            raise PluginError(f"{kind} {name} cannot be made: {explain(error)}") from error
         finally:
             _active.reset(token)
-        if missing := plugin.missing(made):
+        if missing:
             raise MissingExtra(f"{kind} {name} {missing}")
         return made
 
@@ -171,14 +185,9 @@ class Registry:
             raise PluginError(f"plugin file {file}: {error.strerror or error}") from error
         version = hashlib.sha256(source).hexdigest()[:16]
         try:
-            with _deadline(IMPORT_S):
-                module = _import_file(file, version)
-        except _ImportTimeout:
-            self.broken[file] = f"was not imported within {IMPORT_S:g} s; move slow code into minimize, draw or solve"
-            return
-        except (Exception, SystemExit) as error:
-            hint = "; put @dataclass(frozen=True) above its classes" if "non-frozen dataclass" in str(error) else ""
-            self.broken[file] = f"{explain(error)}{hint}"
+            module = import_file(file, version)
+        except ImportError as error:
+            self.broken[file] = str(error)
             return
         found = [cls for cls in vars(module).values() if _is_plugin(cls, module)]
         if not found:
@@ -187,29 +196,6 @@ class Registry:
             kind = next(kind for kind, contract in CONTRACTS.items() if issubclass(cls, contract))
             name = vars(cls).get("name") or _kebab(cls.__name__)
             self._add(Plugin(kind, name, file.name, version, cls))
-
-
-class _ImportTimeout(BaseException):
-    """An import takes too long. Derives from BaseException, as the imported file might swallow an Exception."""
-
-
-@contextlib.contextmanager
-def _deadline(seconds: float) -> Iterator[None]:
-    """Raise _ImportTimeout in Python code that takes longer. Only the main thread can have such a limit."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-
-    def raise_timeout(number: int, frame: FrameType | None) -> None:
-        raise _ImportTimeout
-
-    previous = signal.signal(signal.SIGALRM, raise_timeout)
-    signal.setitimer(signal.ITIMER_REAL, seconds)
-    try:
-        yield
-    finally:
-        signal.setitimer(signal.ITIMER_REAL, 0.0)
-        signal.signal(signal.SIGALRM, previous)
 
 
 def _extra(cls: type[Options], made: Options | None) -> Extra | None:
@@ -226,24 +212,6 @@ def _extra(cls: type[Options], made: Options | None) -> Extra | None:
 @functools.cache
 def _installed() -> Registry:
     return Registry()
-
-
-def _import_file(file: Path, version: str) -> ModuleType:
-    """Import a file under a unique module name, registered in sys.modules because dataclasses and pickle need it."""
-    name = f"nfbench_plugin_{re.sub(r'[^0-9a-zA-Z]', '_', file.stem)}_{version}"
-    if name in sys.modules:
-        return sys.modules[name]
-    spec = importlib.util.spec_from_file_location(name, file)
-    if spec is None or spec.loader is None:
-        raise ImportError("expected a Python file (.py)")
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module
-    try:
-        spec.loader.exec_module(module)
-    except BaseException:
-        del sys.modules[name]
-        raise
-    return module
 
 
 def _is_plugin(cls: object, module: ModuleType) -> bool:

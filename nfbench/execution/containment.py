@@ -1,0 +1,140 @@
+"""What a run must leave as it was in its process, so that the next run in the same process is not affected."""
+
+from __future__ import annotations
+
+import builtins
+import contextlib
+import fcntl
+import json
+import math
+import os
+import random
+import resource
+import signal
+import sys
+import threading
+import time
+from collections.abc import Iterable
+from types import ModuleType
+from typing import Any, final
+
+import numpy as np
+
+__all__ = ["Containment", "moved_up"]
+
+HIGH_DESCRIPTOR = 200  # our own descriptors are above it, where a run that closes the usual ones does not reach them
+LEAKED = 64  # descriptors that runs may leave open before the process is replaced
+_LIMITS = [getattr(resource, name) for name in dir(resource) if name.startswith("RLIMIT_")]
+_SHARED: tuple[ModuleType, ...] = (  # modules whose attributes other plugins rely on
+    *(builtins, json, math, os, random, sys, threading, time),
+    *(np, np.random, np.linalg),
+)
+_CHANGING = {"_", "last_exc", "last_type", "last_value", "last_traceback", "stdout", "stderr"}
+
+
+@final
+class Containment:
+    """Remembers the state of the process, and tells what a run has changed in it; cheap enough to ask after every run.
+
+    own: descriptors, in addition to the standard streams, that a run must leave open.
+    """
+
+    def __init__(self, own: Iterable[int]) -> None:
+        self._descriptors = {descriptor: _identity(descriptor) for descriptor in (0, 1, 2, *own)}
+        self._open = _open_descriptors()
+        self._directory = _working_directory()
+        self._limits = [resource.getrlimit(limit) for limit in _LIMITS]
+        self._handlers = [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)]
+        self._errors = np.geterr()
+        self._threads = _threads()
+        self._children = _children()
+        self._modules = [(vars(module), dict(vars(module))) for module in _SHARED]
+
+    def changed(self, thorough: bool = True) -> str | None:
+        """One thing that is not as it was, in words; None if there is nothing.
+
+        thorough: also compare the attributes of shared modules, which takes four times as long as all else.
+        """
+        if any(_identity(descriptor) != known for descriptor, known in self._descriptors.items()):
+            return "a standard stream"
+        if _open_descriptors() > self._open + LEAKED:
+            return "the number of open files"
+        if _working_directory() != self._directory:
+            return "the working directory"
+        if [resource.getrlimit(limit) for limit in _LIMITS] != self._limits:
+            return "a resource limit"
+        if [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)] != self._handlers:
+            return "a signal handler"
+        if np.geterr() != self._errors:
+            return "NumPy's error handling"
+        if _children() - self._children:
+            return "a child process that is left"
+        if _threads() > self._threads:
+            return "a thread that is left"
+        if not thorough:
+            return None
+        return next((f"module {now['__name__']}" for now, known in self._modules if _replaced(now, known)), None)
+
+
+def _replaced(now: dict[str, Any], known: dict[str, Any]) -> bool:
+    """Whether an attribute of a module is another object than before; new ones, as of a late import, are fine."""
+    try:
+        if now == known:  # in C: the same objects are not compared
+            return False
+    except Exception:  # of an object that is there instead
+        return True
+    if any(now.get(name) is not value for name, value in known.items() if name not in _CHANGING):
+        return True
+    known.clear()
+    known.update(now)
+    return False
+
+
+def moved_up(descriptor: int) -> int:
+    """A duplicate of a descriptor at HIGH_DESCRIPTOR or above; the original is closed."""
+    soft, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
+    try:
+        high = fcntl.fcntl(descriptor, fcntl.F_DUPFD_CLOEXEC, min(HIGH_DESCRIPTOR, soft // 2))
+    except OSError:  # no descriptor is free there
+        return descriptor
+    os.close(descriptor)
+    return high
+
+
+def _identity(descriptor: int) -> tuple[int, int] | None:
+    try:
+        status = os.fstat(descriptor)
+    except OSError:
+        return None
+    return status.st_dev, status.st_ino
+
+
+def _open_descriptors() -> int:
+    try:
+        return len(os.listdir("/proc/self/fd"))  # noqa: PTH208  # the fastest way
+    except OSError:
+        return 0
+
+
+def _working_directory() -> str | None:
+    try:
+        return os.getcwd()  # noqa: PTH109  # to compare, not to use
+    except OSError:  # it was removed
+        return None
+
+
+def _children() -> set[bytes]:
+    """The process ids of the children of the main thread; none where the kernel does not list them."""
+    with contextlib.suppress(OSError):
+        pid = os.getpid()
+        file = os.open(f"/proc/{pid}/task/{pid}/children", os.O_RDONLY | os.O_CLOEXEC)
+        try:
+            return set(os.read(file, 2**16).split())
+        finally:
+            os.close(file)
+    return set()
+
+
+def _threads() -> int:
+    """The threads that keep a process from ending."""
+    return sum(not thread.daemon for thread in threading.enumerate())

@@ -1,0 +1,70 @@
+"""Makes what a plugin returned storable: plain real numbers and printable text, or a run that is invalid."""
+
+from __future__ import annotations
+
+import math
+import numbers
+import operator
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from nfbench.core import printable
+
+__all__ = ["RESERVED", "Unstorable", "plain_estimate", "plain_scores"]
+
+LARGEST = 100_000  # numbers in an estimate
+MOST_SCORES = 1_000
+NAME_LENGTH = 64
+RESERVED = frozenset(
+    (
+        *("run_id", "study", "scenario", "formulation", "solver", "repetition", "status", "message", "objective"),
+        *("evaluations", "runtime_s", "cpu_s", "instance_seed", "solver_seed", "method", "host", "worker", "finished"),
+    )
+)  # columns that a score must not replace
+
+
+class Unstorable(Exception):
+    """What a plugin returned cannot be a row; the message names what was expected and what came."""
+
+
+def plain_estimate(found: Any) -> np.ndarray:
+    """The estimate as an array of real numbers. Raises Unstorable for anything else."""
+    try:
+        estimate = np.asarray(found)
+    except Exception as error:  # a ragged list, or an object whose __array__ raises
+        raise Unstorable(f"estimate: expected an array of real numbers, got {type(found).__name__}: {error}") from error
+    if estimate.dtype.kind not in "fiub":
+        raise Unstorable(f"estimate: expected an array of real numbers, got one of type {estimate.dtype}")
+    if estimate.size > LARGEST:
+        raise Unstorable(f"estimate: expected at most {LARGEST:,} numbers, got {estimate.size:,}")
+    return estimate.astype(np.float64) if estimate.dtype.kind == "f" else estimate
+
+
+def plain_scores(found: Any) -> dict[str, float]:
+    """Scores as numbers by column name. Raises Unstorable for anything else."""
+    if not isinstance(found, Mapping):
+        raise Unstorable(f"score: expected a dict of numbers by column name, got {type(found).__name__}")
+    if len(found) > MOST_SCORES:
+        raise Unstorable(f"score: expected at most {MOST_SCORES:,} columns, got {len(found):,}")
+    return {_name(name): _number(name, value) for name, value in found.items()}
+
+
+def _name(name: Any) -> str:
+    if not isinstance(name, str) or not name or len(name) > NAME_LENGTH or printable(name) != name:
+        raise Unstorable(f"score: expected column names of 1 to {NAME_LENGTH} printable characters, got {name!r:.200}")
+    if name in RESERVED or name.startswith("scenario."):
+        raise Unstorable(f"score: {name!r} is the name of another column; use a name of its own")
+    return str(name)
+
+
+def _number(name: Any, value: Any) -> float:
+    if isinstance(value, np.ndarray | np.generic) and np.ndim(value) == 0:
+        value = value.item()
+    if not isinstance(value, numbers.Real):
+        raise Unstorable(f"score: expected a real number for {name!r}, got {type(value).__name__}")
+    try:
+        return float(value)
+    except OverflowError:  # an integer or fraction beyond any float
+        return math.inf if operator.gt(value, 0) else -math.inf
