@@ -7,10 +7,14 @@ from typing import Annotated
 
 import typer
 
-from nfbench.core import Status
+from nfbench.core import Status, StoreError
 from nfbench.results import Results
+from nfbench.study import Study
 
-from .common import INTERRUPTED, NOT_ALL_OK, OK, Folder, Jobs, Plugins, app, output, warn
+from .common import INTERRUPTED, NOT_ALL_OK, OK, USAGE, Folder, Jobs, Plugins, app, output, warn
+
+CONFIRM = 1_000_000  # runs from which ``--yes`` is required
+BARE_BYTES, TRACED_BYTES, ROWS_PER_S = 278, 6 * 1024, 4000  # of a row, as measured: see the README
 
 Cluster = Annotated[
     str | None, typer.Option(metavar="local:N", help="Run on a new dask cluster of N workers on this machine.")
@@ -37,23 +41,25 @@ def run(
         list[Status] | None,
         typer.Option(help="Repeat the runs with this status, e.g. failed; can be given several times."),
     ] = None,
+    yes: Annotated[bool, typer.Option("--yes", help="Start a study of more than 1,000,000 runs.")] = False,
     quiet: Annotated[
         bool, typer.Option("--quiet", "-q", help="Print only errors and failures: no progress, no tables.")
     ] = False,
 ) -> None:
     """Run a study, or resume it, and print its results."""
-    from nfbench.execution import run as run_study
-    from nfbench.report import print_report
     from nfbench.study import load_study
-
-    from .progress import Lines, LiveView, Quiet
 
     part = _shard(shard)
     address = _cluster_address(cluster, scheduler, jobs)
     loaded = load_study(study, plugin or ())
+    _announce(loaded, part, yes)
+
+    from nfbench.execution import run as run_study  # only now, as a message about the manifest must not wait for them
+    from nfbench.report import print_report
+
+    from .progress import Lines, LiveView, Quiet
+
     console = output()
-    for warning in loaded.warnings:
-        warn(warning)
     folder = out or Path("results") / loaded.name
     progress = Quiet() if quiet else (LiveView if console.is_terminal else Lines)(console, loaded.error)
     try:
@@ -69,10 +75,7 @@ def run(
                 listener=progress,
             )
     except KeyboardInterrupt:
-        counts = Results(folder).counts
-        total = sum(counts.values())
-        done = f"{total - counts.get('open', 0)} of {total} runs are done"
-        console.print(f"Interrupted: {done}. Run the same command to resume.")
+        console.print(f"Interrupted: {_progress(folder)}. Run the same command to resume.", markup=False)
         raise typer.Exit(INTERRUPTED) from None
     if quiet:
         for status_, method, count, message in results.failures:
@@ -82,6 +85,40 @@ def run(
         names = ("runs.csv", "summary.csv", "environment.json", "runs.sqlite")
         console.print(f"\nWritten to {folder}/: {', '.join(names)}", soft_wrap=True)
     raise typer.Exit(OK if set(results.counts) <= {Status.OK} else NOT_ALL_OK)
+
+
+def _announce(study: Study, shard: tuple[int, int] | None, yes: bool) -> None:
+    """Print the warnings. Stop before a very large study unless it is confirmed."""
+    for warning in study.warnings:
+        warn(warning)
+    if len(study) > CONFIRM and not yes:
+        typer.echo(f"nfbench: {study.name}: {_cost(len(study), shard)}", err=True)
+        raise typer.Exit(USAGE)
+
+
+def _cost(runs: int, shard: tuple[int, int] | None) -> str:
+    """Say how large a study is, what it takes on the disk and in time, and how to start it."""
+    part = runs // shard[1] if shard else runs
+    of = f", of which this shard has about {part:,}" if shard else ""
+    disk = f"{_bytes(part * BARE_BYTES)} of disk for the bare rows, or {_bytes(part * TRACED_BYTES)} with traces"
+    time = f"{_duration(part / ROWS_PER_S)} at {ROWS_PER_S:,} rows a second at best"
+    hint = "Add --yes to start it, or reduce repetitions, [sweep] or the number of methods."
+    return f"the study has {runs:,} runs{of}. They take {disk}, and {time}. {hint}"
+
+
+def _bytes(count: float) -> str:
+    for unit in ("bytes", "KiB", "MiB", "GiB"):
+        if count < 1024:
+            return f"{count:.3g} {unit}"
+        count /= 1024
+    return f"{count:.3g} TiB"
+
+
+def _duration(seconds: float) -> str:
+    for unit, size in (("days", 86_400), ("hours", 3600), ("minutes", 60)):
+        if seconds >= 2 * size:
+            return f"{seconds / size:.3g} {unit}"
+    return f"{seconds:.3g} seconds"
 
 
 def _cluster_address(cluster: str | None, scheduler: str | None, jobs: int | None) -> str | None:
@@ -103,10 +140,19 @@ def _shard(text: str | None) -> tuple[int, int] | None:
     """Parse ``3/10`` as (3, 10)."""
     if text is None:
         return None
-    parts = text.split("/")
+    parts = text[:40].split("/")
     if len(parts) == 2 and all(part.isdecimal() for part in parts) and 1 <= int(parts[0]) <= int(parts[1]):
         return int(parts[0]), int(parts[1])
     raise typer.BadParameter(f"expected K/N with 1 <= K <= N, e.g. 3/10, got {text!r}", param_hint="--shard")
+
+
+def _progress(folder: Path) -> str:
+    try:
+        counts = Results(folder).counts
+    except StoreError:  # interrupted before there was a plan
+        return "no run is done"
+    total = sum(counts.values())
+    return f"{total - counts.get('open', 0)} of {total} runs are done"
 
 
 @app.command()

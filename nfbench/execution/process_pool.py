@@ -16,7 +16,7 @@ from collections import deque
 from collections.abc import Iterable
 from concurrent.futures import Future
 from dataclasses import dataclass
-from multiprocessing import get_context
+from multiprocessing import get_context, resource_tracker
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from pathlib import Path
@@ -102,6 +102,7 @@ class ProcessPool:
     # --- the supervisor's thread, which alone touches the workers ---------------------------------------------------
 
     def _supervise(self) -> None:
+        resource_tracker.ensure_running()  # starting it would undo what follows
         # inherited by workers, so that Ctrl-C does not reach them before they have their own handlers
         signal.pthread_sigmask(signal.SIG_BLOCK, BLOCKED_AT_START)
         try:
