@@ -1,4 +1,4 @@
-"""Runs the study and writes its tables: ``python results/optimizer_choice/make.py``; resumes where it was left."""
+"""Runs the study and writes its tables: ``python results/optimizer_choice/make.py``; finished runs are not repeated."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ from ledger import OUTLIER, RESAMPLES, ratio  # noqa: E402
 STUDY = HERE.parents[1] / "studies" / "optimizer_choice.toml"
 BEGIN, END = "<!-- table: written by make.py -->", "<!-- end of table -->"
 PAPER = {"neef": "neef + de, paper @{}", "nemo": "nemo + de(population=50){}"}  # the paper's DE
-GOALS = (f"to come within {OUTLIER:g} bounds", "to the first source's minimum")
-SHOWN = 12  # solvers of a table in README.md; all.md has every one
+GOALS = (f"until the error is below {OUTLIER:g} × the bound", "until the first source's minimum is reached")
+SHOWN = 12  # number of solvers in each table of README.md; all.md lists every solver
 
 
 @dataclass(frozen=True)
 class Part:
-    """The methods of one formulation and budget, and among them the paper's DE."""
+    """The methods that share one formulation and budget; ``base`` is the paper's DE among them."""
 
     formulation: str
     budget: int
@@ -54,7 +54,7 @@ def study() -> nfbench.Study:
 
 
 def parts() -> list[Part]:
-    """What the study compares, from its manifest."""
+    """The groups of methods that the study compares, read from its manifest."""
     methods = study().methods
     found = []
     for kind, budget in (("neef", 60000), ("neef", 12000), ("nemo", 15000), ("nemo", 3000)):
@@ -70,15 +70,15 @@ def parts() -> list[Part]:
     return found
 
 
-# --- what getting there costs -----------------------------------------------------------------------------------------
+# --- cost of reaching the goal ----------------------------------------------------------------------------------------
 
 
 def write_reached(folder: Path) -> None:
-    """``reached.csv``: for each run with the paper's budget, when it got there for good.
+    """``reached.csv``: for each run with the paper's budget, when it reached its goal for good.
 
     With NEEF: to an error of at most OUTLIER times the scene's bound. With NEMO, whose first problem is the same for
-    every solver: within one bound of the first problem's minimizer, the best that any run has found. evaluations,
-    seconds: to get there, or all that the run made where it did not.
+    every solver: to within one Cramér–Rao bound of the best point that any run has found for the first problem.
+    evaluations, seconds: what the run had spent when it reached the goal, or in total if it never did.
     """
     results = nfbench.Results(folder)
     runs = results.runs[results.runs.status == "ok"].set_index("run_id")
@@ -120,7 +120,7 @@ def errors(estimates: np.ndarray, theta: np.ndarray) -> np.ndarray:
 
 
 def expected(cost: np.ndarray, there: np.ndarray) -> np.ndarray:
-    """The expected cost of a success if runs are repeated until one succeeds: all costs over the successes, or inf."""
+    """The expected cost of restarting until one run succeeds: total cost divided by the number of successes, or inf."""
     with np.errstate(divide="ignore"):
         return cost.sum(axis=-1) / there.sum(axis=-1)
 
@@ -132,7 +132,7 @@ def interval(cost: np.ndarray, there: np.ndarray) -> tuple[float, float, float]:
 
 
 def cost_ratio(own: pd.DataFrame, theirs: pd.DataFrame, unit: str) -> tuple[float, float]:
-    """The 95 % interval of the ratio of expected evaluations or seconds, over the scenes that both have."""
+    """The 95 % interval of the ratio of the expected evaluations or seconds of two methods, on their common scenes."""
     both = own.merge(theirs, on="repetition", suffixes=("", "_theirs"))
     samples = [both[name + whose].to_numpy(float) for whose in ("", "_theirs") for name in (unit, "there")]
 
@@ -144,7 +144,7 @@ def cost_ratio(own: pd.DataFrame, theirs: pd.DataFrame, unit: str) -> tuple[floa
 
 
 def share(hits: int, n: int) -> str:
-    """hits of n with the 95 % interval of Wilson (1927)."""
+    """The share of hits among n as a percentage, with its 95 % Wilson (1927) interval."""
     low, high = binomtest(hits, n).proportion_ci(method="wilson")
     return f"{hits / n:.0%} ({100 * low:.0f} – {100 * high:.0f})"
 
@@ -153,7 +153,7 @@ def share(hits: int, n: int) -> str:
 
 
 def tables(folder: Path, shown: int | None) -> str:
-    """For each formulation and budget the solvers, the cheapest first or else those most often near the bound."""
+    """One table of solvers per formulation and budget, sorted by cost, then by how often they come near the bound."""
     E = pd.read_csv(folder / "errors.csv")
     summary = pd.read_csv(folder / "summary.csv").set_index("method")
     reached = pd.read_csv(folder / "reached.csv")
@@ -166,8 +166,8 @@ def tables(folder: Path, shown: int | None) -> str:
 def _table(part: Part, E: pd.DataFrame, summary: pd.DataFrame, reached: pd.DataFrame, shown: int | None) -> list[str]:
     bound, theirs = E["crb_m"].to_numpy(), E[part.base].to_numpy()
     at_full = part.base in set(reached.method)
-    heads = ["solver", f"within {OUTLIER:g} bounds", "RMSE ÷ bound", "RMSE ÷ that of the paper's DE"]
-    where = "there" if part.formulation == "neef" else "to the first source's minimum"
+    heads = ["solver", f"error ≤ {OUTLIER:g} × bound", "RMSE ÷ bound", "RMSE ÷ RMSE of the paper's DE"]
+    where = "to reach it" if part.formulation == "neef" else "to reach the first source's minimum"
     heads += [f"evaluations {where}", "seconds ÷ DE's"] if at_full else ["evaluations", "seconds ÷ DE's"]
     rows = []
     for name in [*part.names, *(["grid-refine"] if part.formulation == "neef" else [])]:
@@ -201,7 +201,7 @@ def _table(part: Part, E: pd.DataFrame, summary: pd.DataFrame, reached: pd.DataF
 
 
 def _cost(reached: pd.DataFrame, name: str, base: str) -> tuple[float, str, str]:
-    """The expected evaluations to get there, in words too, and the seconds over those of the paper's DE."""
+    """The expected evaluations to reach the goal, as a number and as a table cell, and a cell with seconds ÷ DE's."""
     own, theirs = reached[reached.method == name], reached[reached.method == base]
     cost, low, high = interval(own.evaluations.to_numpy(float), own.there.to_numpy())
     if np.isinf(cost):
@@ -217,14 +217,14 @@ def _cost(reached: pd.DataFrame, name: str, base: str) -> tuple[float, str, str]
 
 
 def _seconds(reached: pd.DataFrame, name: str) -> float:
-    """The expected seconds to get there."""
+    """The expected seconds to reach the goal."""
     runs = reached[reached.method == name]
     return float(expected(runs.seconds.to_numpy(), runs.there.to_numpy()))
 
 
 @functools.cache
 def _solver(name: str) -> str:
-    """A method's solver as tables name it: a library with its algorithm."""
+    """The name of a method's solver in the tables; for a wrapped library, the library and its algorithm."""
     method = next((method for method in study().methods if method.label == name), None)
     if method is None or method.solver is None:
         return name
@@ -238,7 +238,7 @@ def _solver(name: str) -> str:
 
 
 def draw(folder: Path) -> None:
-    """``cost.svg``: what getting there costs, a line a solver, those of NEEF in order."""
+    """``cost.svg``: the cost of reaching the goal, one line per solver, sorted by the cost with NEEF."""
     reached = pd.read_csv(folder / "reached.csv")
     panels = [(part, _costs(part, reached)) for part in parts() if part.base in set(reached.method)]
     order = sorted(panels[0][1], key=lambda solver: (*panels[0][1][solver][::2], panels[1][1].get(solver, (math.inf,))))
@@ -277,7 +277,7 @@ def main() -> None:
 
 
 def write(folder: Path) -> None:
-    """Everything that is made from the runs."""
+    """Write every file that is made from the runs."""
     paper.write_errors(folder)
     write_reached(folder)
     page = HERE / "README.md"

@@ -1,11 +1,12 @@
-"""Judges every claim of the paper by the committed tables: ``python results/paper/ledger.py`` rewrites the ledger.
+"""Tests every claim of the paper against the committed tables: ``python results/paper/ledger.py`` rewrites the ledger.
 
 A claim is a comparison of two methods, or of one method with itself elsewhere, under each condition that was studied.
-Of each condition stands the ratio with its 95 % interval, from a bootstrap over scenes (paired: both methods on the
-same resampled scenes). It holds where the interval lies on the claimed side of 1, fails where it lies on the other,
-and is open otherwise. A claim is confirmed if it fails under no condition and holds under at least a quarter of them,
-refuted if it holds under none and fails under at least a quarter, and undecided otherwise; then it is told where it
-flips.
+For each condition, the ledger gives the ratio with its 95 % interval, from a bootstrap over scenes (paired if both
+methods ran on the same scenes). The claim holds where the interval lies on the claimed side of 1, fails where it lies
+on the other side, and is open otherwise. A claim is confirmed if it fails under no condition and holds under at least
+a quarter of them,
+refuted if it holds under none and fails under at least a quarter, and undecided otherwise. For undecided claims the
+table lists the conditions under which they hold, fail or are open.
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ STATISTICS: dict[str, Statistic] = {"RMSE": rms, "median": median}
 
 @dataclass(frozen=True)
 class Evidence:
-    """One condition: a ratio, its interval, and whether the claim holds there (None: open)."""
+    """The evidence under one condition: a ratio, its 95 % interval, and whether the claim holds (None: open)."""
 
     condition: str
     ratio: float
@@ -49,7 +50,8 @@ class Evidence:
 
 @dataclass(frozen=True)
 class Claim:
-    """What the paper says, what is compared, where the figure is, and the evidence."""
+    """A claim of the paper (text), its place there (where), the comparison that tests it, the study, and the
+    evidence."""
 
     text: str
     where: str
@@ -83,7 +85,7 @@ def conditions(study: str, keys: list[str]) -> Iterator[tuple[str, pd.DataFrame]
 def ratio(
     first: np.ndarray, second: np.ndarray, statistic: Statistic, paired: bool = True
 ) -> tuple[float, float, float]:
-    """statistic(first)/statistic(second) and its 95 % interval over scenes, the same ones for both where paired."""
+    """The ratio statistic(first)/statistic(second) and its 95 % bootstrap interval; if paired, over common scenes."""
 
     def quotient(first: np.ndarray, second: np.ndarray) -> np.ndarray:
         return statistic(first) / statistic(second)
@@ -115,7 +117,8 @@ def above(low: float, high: float, limit: float = 1.0) -> bool | None:
 
 
 def alike(low: float, high: float, factor: float = 1.25) -> bool | None:
-    """Whether a ratio is within a factor of 1 either way: its interval inside, outside, or neither."""
+    """Whether a ratio lies in [1/factor, factor]: True or False if its whole interval lies inside or outside, else
+    None."""
     if low > 1 / factor and high < factor:
         return True
     return False if high < 1 / factor or low > factor else None
@@ -129,7 +132,7 @@ def versus(
     judge: Callable[[float, float], bool | None],
     kind: str = "both",
 ) -> list[Evidence]:
-    """One method over another, condition by condition, in RMSE and in the median."""
+    """The ratio of one method's error to another's under each condition, for the RMSE and the median."""
     found = []
     for condition, scenes in conditions(study, keys):
         for name, statistic in STATISTICS.items():
@@ -150,7 +153,8 @@ def across(
     judge: Callable[[float, float], bool | None],
     kinds: tuple[str, ...] = ("RMSE",),
 ) -> list[Evidence]:
-    """Each method at one end of a sweep over the same method at the other; their scenes are independent."""
+    """The ratio of each method's error at the ``end`` of a sweep to that at its ``start``, whose scenes are
+    independent."""
     found = []
     for condition, scenes in conditions(study, keys):
         column = scenes[f"scenario.{key}"].astype(str)
@@ -184,9 +188,9 @@ def claims() -> list[Claim]:
             versus(half, ["fading", "snr_db"], "NEMO-DE", "2D MUSIC 600×3000", below),
         ),
         Claim(
-            "2D MUSIC suffers more from the coarse grid than modified MUSIC",
+            "2D MUSIC loses more accuracy on the coarse grid than modified MUSIC does",
             "Fig. RMSE vs. SNR, λ/4",
-            "(2D MUSIC coarse ÷ fine) ÷ (modified MUSIC coarse ÷ fine), all SNRs together",
+            "(2D MUSIC coarse ÷ fine) ÷ (modified MUSIC coarse ÷ fine), over all SNRs",
             quarter,
             [
                 item
@@ -229,21 +233,21 @@ def claims() -> list[Claim]:
         Claim(
             "Modified MUSIC cannot run at λ/2",
             "Text with Fig. RMSE vs. SNR, λ/2",
-            "share of its runs refused (1: all)",
+            "share of its runs that were skipped as impossible (1: all)",
             half,
             _refused(half, m_fine),
         ),
         Claim(
             "NEMO-DE is as accurate as 3D MUSIC at equal SNR",
             "Fig. locations, NEMO-DE and MUSIC",
-            "NEMO-DE ÷ 3D MUSIC, alike: within a factor of 1.25",
+            "NEMO-DE ÷ 3D MUSIC; equally accurate: within a factor of 1.25",
             "positions_equal_snr",
             versus("positions_equal_snr", fading, "NEMO-DE", "3D MUSIC 200×200×400", alike),
         ),
         Claim(
             "NEEF-DE is as accurate as 3D MUSIC at 10, 20 and 30 dB",
             "Fig. locations, NEEF-DE and MUSIC",
-            "NEEF-DE ÷ 3D MUSIC, alike: within a factor of 1.25",
+            "NEEF-DE ÷ 3D MUSIC; equally accurate: within a factor of 1.25",
             "positions_unequal_snr",
             versus("positions_unequal_snr", fading, "NEEF-DE", "3D MUSIC 200×200×400", alike),
         ),
@@ -262,9 +266,9 @@ def claims() -> list[Claim]:
             across("snr_imbalance", "snr_db", "[20.0, 20.0, 20.0]", "[0.0, 20.0, 40.0]", fading, ["NEMO-DE"], above),
         ),
         Claim(
-            "NEEF-DE varies mildly over the imbalance (κ = 10)",
+            "NEEF-DE varies only mildly with the imbalance (κ = 10)",
             "Fig. RMSE under unequal SNRs",
-            "RMSE at 0, 20, 40 dB ÷ at 20, 20, 20 dB; mild: below 2",
+            "RMSE at 0, 20, 40 dB ÷ RMSE at 20, 20, 20 dB; mildly: by less than a factor of 2",
             "snr_imbalance",
             across(
                 "snr_imbalance",
@@ -278,7 +282,7 @@ def claims() -> list[Claim]:
         ),
         Claim(
             "NEEF-DE is more stable under SNR imbalance than NEMO-DE (line of sight)",
-            "The paper's explanation by strong sources, alone",
+            "The paper's explanation (masking by strong sources), tested without fading",
             "NEEF-DE ÷ NEMO-DE, at each imbalance",
             "snr_imbalance_los",
             _unequal(versus("snr_imbalance_los", ["snr_db"], "NEEF-DE", "NEMO-DE", below)),
@@ -315,7 +319,7 @@ def claims() -> list[Claim]:
         Claim(
             "At equal SNRs NEMO-DE is preferable to NEEF-DE: as accurate, and cheaper",
             "Text with the table of run times",
-            "NEMO-DE ÷ NEEF-DE in error, alike or below: under 1.25; and in seconds",
+            "NEMO-DE ÷ NEEF-DE in error (as accurate: below 1.25) and in seconds (cheaper: below 1)",
             "positions_equal_snr",
             [
                 *versus("positions_equal_snr", fading, "NEMO-DE", "NEEF-DE", lambda low, high: below(low, high, 1.25)),
@@ -323,7 +327,7 @@ def claims() -> list[Claim]:
             ],
         ),
         Claim(
-            "NEEF suffers more from a wrong number of sources than NEMO",
+            "A wrong number of sources degrades NEEF more than NEMO",
             "Limitations",
             "(NEEF-DE wrong ÷ right) ÷ (NEMO-DE wrong ÷ right) in GOSPA",
             "source_number_mismatch",
@@ -334,30 +338,30 @@ def claims() -> list[Claim]:
             ],
         ),
         Claim(
-            "NEMO-DE's time grows as M",
+            "NEMO-DE's run time grows linearly with M",
             "Complexity analysis",
             "exponent of time in M over 64 … 512; 1 ± 0.25",
             "complexity",
             _exponent("NEMO-DE", 1.0),
         ),
         Claim(
-            "NEEF-DE's time grows as M",
+            "NEEF-DE's run time grows linearly with M",
             "Complexity analysis",
             "exponent of time in M over 64 … 512; 1 ± 0.25",
             "complexity",
             _exponent("NEEF-DE", 1.0),
         ),
         Claim(
-            "2D MUSIC's time grows as M²",
+            "2D MUSIC's run time grows with M²",
             "Complexity analysis",
             "exponent of time in M over 64 … 512; 2 ± 0.25",
             "complexity",
             _exponent(fine, 2.0),
         ),
         Claim(
-            "The DE parameters of the paper are well chosen: none changed alone does better",
-            "Table of DE parameters; sensitivity mentioned, not shown",
-            "each variant ÷ the paper's, in RMSE; not better: not below 0.95",
+            "The paper's DE parameters are well chosen: changing any single one does not improve them",
+            "Table of DE parameters; the sensitivity analysis is mentioned but not shown",
+            "RMSE of each variant ÷ RMSE with the paper's parameters; better: below 0.95",
             "de_sensitivity",
             [
                 Evidence(f"{variant}, {item.condition}", item.ratio, item.low, item.high, item.holds)
@@ -375,7 +379,7 @@ def claims() -> list[Claim]:
         Claim(
             "The repulsion prevents duplicate detections",
             "Algorithm 1",
-            "without it (α = 0) ÷ with the paper's α = 1000, in RMSE; it matters: above 1",
+            "RMSE without repulsion (α = 0) ÷ RMSE with the paper's α = 1000; repulsion helps: above 1",
             "penalty",
             versus("penalty", ["rician_k"], "none: α = 0", "paper: α = 1000", lambda low, high: low > 1, "RMSE"),
         ),
@@ -392,7 +396,7 @@ def _methods(study: str) -> list[str]:
 
 
 def _unequal(evidence: list[Evidence]) -> list[Evidence]:
-    """Without the scenes of equal SNRs."""
+    """The evidence without the condition of equal SNRs."""
     return [item for item in evidence if "[20.0, 20.0, 20.0]" not in item.condition]
 
 
@@ -447,15 +451,16 @@ def _refused(study: str, method: str) -> list[Evidence]:
 
 
 def page(judged: list[Claim]) -> str:
-    """The ledger in Markdown: a table of verdicts, then the evidence of each claim."""
+    """The ledger in Markdown: a table of verdicts, then the evidence for each claim."""
     counts = {verdict: sum(c.verdict == verdict for c in judged) for verdict in ("confirmed", "refuted", "undecided")}
     lines = [
-        f"Of {len(judged)} claims {counts['confirmed']} are confirmed, {counts['refuted']} refuted, "
-        f"{counts['undecided']} undecided: open, or true under some conditions and false under others.",
+        f"Of {len(judged)} claims, {counts['confirmed']} are confirmed, {counts['refuted']} are refuted and "
+        f"{counts['undecided']} are undecided: open, or true under some conditions and false under others.",
         "A claim is confirmed if it fails under no condition and holds under at least a quarter of them, refuted if it",
-        "holds under none and fails under at least a quarter. A condition is open where its 95 % interval covers both.",
+        "holds under none and fails under at least a quarter. A condition is open if its 95 % interval includes values "
+        "on both sides of the limit.",
         "",
-        "| | claim | in the paper | verdict | holds / fails / open | where it flips | study |",
+        "| | claim | in the paper | verdict | holds / fails / open | exceptions | study |",
         "|---|---|---|---|---|---|---|",
     ]
     for number, claim in enumerate(judged, start=1):
@@ -493,15 +498,15 @@ def page(judged: list[Claim]) -> str:
 
 
 def efficiency() -> list[str]:
-    """In line of sight, by how much each method misses the bound of the same scenes; outliers counted apart."""
+    """How far each method's RMSE lies above the Cramér–Rao bound in line of sight, with outliers counted apart."""
     lines = [
-        "### Beside the bound",
+        "### RMSE relative to the Cramér–Rao bound",
         "",
         "Line of sight, sources at least 2° apart: the RMSE over 100 scenes ÷ the root mean square of the stochastic",
-        "Cramér–Rao bounds of the same scenes, without the runs that miss their own scene's bound by more than",
-        f"{OUTLIER:g} times, which are counted apart.",
+        "Cramér–Rao bounds of the same scenes. Runs whose error exceeds their scene's bound by more than a factor of",
+        f"{OUTLIER:g} are left out and counted as outliers.",
         "",
-        "| method | SNR | RMSE ÷ bound | 95 % interval | outliers | with them |",
+        "| method | SNR | RMSE ÷ bound | 95 % interval | outliers | RMSE ÷ bound with outliers |",
         "|---|---|---|---|---|---|",
     ]
     for method in ["NEEF-DE", "grid-refine", "2D MUSIC 400×2000, refined", "NEMO-DE"]:
@@ -518,7 +523,7 @@ def efficiency() -> list[str]:
 
 
 def _some(evidence: list[Evidence], most: int = 3) -> str:
-    """Conditions in words, the common part said once; no more than a few."""
+    """The first few conditions with their ratios, and how many more there are."""
     names = [f"{e.condition} ({e.ratio:.2g})" for e in evidence]
     return "; ".join(names[:most]) + (f"; {len(names) - most} more" if len(names) > most else "")
 

@@ -1,6 +1,7 @@
-"""Makes everything in this folder: ``python results/paper/make.py`` runs the paper's studies, draws them and judges.
+"""Makes everything in this folder: ``python results/paper/make.py`` runs the paper's studies, draws their figures and
+rewrites the ledger.
 
-It resumes: what is finished is not computed again. Studies of run time use one worker, all others two.
+Finished runs are not repeated. Studies of run time use one worker process, all others two.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ import nfbench
 
 HERE = Path(__file__).parent
 STUDIES = HERE.parents[1] / "studies" / "paper"
-ALONE = ("runtime", "complexity")  # studies whose subject is time
+ALONE = ("runtime", "complexity")  # studies that measure run time, which must not share the cores
 METRICS = {"runtime": "runtime_s", "complexity": "runtime_s", "source_number_mismatch": "gospa_m"}
 
 
@@ -25,10 +26,11 @@ def nfbench_command(*arguments: str | Path) -> None:
 
 
 def write_errors(folder: Path) -> None:
-    """``errors.csv``: the error [m] of every run, a row a scene and a column a method; verdicts are computed from it.
+    """``errors.csv``: the error [m] of every run, one row per scene and one column per method. The ledger is computed
+    from it.
 
-    ``crb_m`` and ``floor_m`` of the scene stand beside them where there are any; and, under ``<column>: <method>``, the
-    seconds in a study of time, and GOSPA in one of unequal numbers of sources.
+    The columns ``crb_m`` and ``floor_m`` of the scene follow if it has them. Studies of run time also have columns
+    ``runtime_s: <method>``, and the study of a wrong number of sources has ``gospa_m: <method>``.
     """
     runs = nfbench.Results(folder).runs
     swept = [name for name in runs.columns if name.startswith("scenario.")]
