@@ -27,10 +27,10 @@ PROJECT = Path(__file__).parent.parent
 COMMAND_ENVIRONMENT = {**os.environ, "COLUMNS": "120", "NO_COLOR": "1"}
 
 
-def nfbench(*arguments, cwd):
+def nfbench(*arguments, cwd, timeout=120):
     """Run the command line in a separate process, as a user does."""
     command = [sys.executable, "-m", "nfbench", *map(str, arguments)]
-    return subprocess.run(command, cwd=cwd, capture_output=True, text=True, env=COMMAND_ENVIRONMENT, timeout=120)
+    return subprocess.run(command, cwd=cwd, capture_output=True, text=True, env=COMMAND_ENVIRONMENT, timeout=timeout)
 
 
 @pytest.fixture

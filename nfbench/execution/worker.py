@@ -17,10 +17,9 @@ from types import FrameType
 from threadpoolctl import threadpool_limits
 
 from nfbench.core import Status, printable
-from nfbench.plugins import Registry
+from nfbench.plugins import Containment, Registry, moved_up
 from nfbench.study import RunRecord, RunSpec
 
-from .containment import Containment, moved_up
 from .environment import THREAD_VARIABLES
 from .run_one import execute
 

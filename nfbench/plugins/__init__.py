@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from .containment import Containment, moved_up
 from .groups import GROUPS, members
 from .nested_solvers import NestedSolver, combined_info, nested_solver, run_part, solver_of, versions
 from .registry import CONTRACTS, Plugin, Registry
@@ -10,11 +11,13 @@ from .templates import write_template
 __all__ = [
     "CONTRACTS",
     "GROUPS",
+    "Containment",
     "NestedSolver",
     "Plugin",
     "Registry",
     "combined_info",
     "members",
+    "moved_up",
     "nested_solver",
     "run_part",
     "solver_of",

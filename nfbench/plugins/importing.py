@@ -14,7 +14,11 @@ from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
 
+import numpy as np
+
 from nfbench.core import explain, printable
+
+from .containment import Containment
 
 __all__ = ["IMPORT_S", "import_file"]
 
@@ -46,7 +50,7 @@ def _load(file: Path, name: str) -> ModuleType:
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module
     try:
-        with _working_directory_kept():
+        with _restored():
             spec.loader.exec_module(module)
     except BaseException as error:
         del sys.modules[name]
@@ -60,10 +64,12 @@ def _reason(error: BaseException) -> str:
 
 
 @contextlib.contextmanager
-def _working_directory_kept() -> Iterator[None]:
+def _restored() -> Iterator[None]:
+    """Restore afterwards what a plugin file may change by habit: the working directory and NumPy's error handling."""
     before = os.getcwd()  # noqa: PTH109  # restored by name
     try:
-        yield
+        with np.errstate():
+            yield
     finally:
         os.chdir(before)
 
@@ -111,9 +117,11 @@ def _probe(file: Path, name: str, answer: int) -> None:
     silence = os.open(os.devnull, os.O_RDWR)
     for stream in (0, 1, 2):
         os.dup2(silence, stream)
-    reason = ""
+    reason, state = "", Containment([answer])
     try:
         _load(file, name)
+        if changed := state.changed():
+            reason = f"changes {changed} while it is imported; a plugin file must only define classes"
     except BaseException as error:
         reason = str(error)
     with contextlib.suppress(OSError):

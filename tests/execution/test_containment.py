@@ -5,6 +5,7 @@ import sqlite3
 import subprocess
 import sys
 import time
+import warnings
 from pathlib import Path
 
 import pandas as pd
@@ -13,8 +14,8 @@ from conftest import BASIC, PLUGINS, nfbench
 
 import nfbench as library
 from nfbench import load_study
-from nfbench.execution.containment import Containment
 from nfbench.execution.scratch import PREFIX, ScratchFolder, _remove_abandoned
+from nfbench.plugins.containment import Containment
 
 HOSTILE = PLUGINS / "hostile.py"
 
@@ -232,17 +233,24 @@ def test_containment_names_what_has_changed(monkeypatch, tmp_path):
 
     state = Containment([])
     assert state.changed() is None
-    monkeypatch.setattr(np.random, "default_rng", None)
-    assert state.changed() == "module numpy.random" and state.changed(thorough=False) is None
-    monkeypatch.undo()
+    with monkeypatch.context() as patch:
+        patch.setattr(np.random, "default_rng", None)
+        assert state.changed() == "module numpy.random" and state.changed(thorough=False) is None
     np.a_late_import = 1
     assert state.changed() is None
     del np.a_late_import
-    monkeypatch.chdir(tmp_path)
-    assert state.changed() == "the working directory"
-    monkeypatch.undo()
+    with monkeypatch.context() as patch:
+        patch.chdir(tmp_path)
+        assert state.changed() == "the working directory"
     with np.errstate(all="raise"):
         assert state.changed() == "NumPy's error handling"
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert state.changed() == "a setting of the interpreter"
+    with monkeypatch.context() as patch:
+        patch.delenv("PATH")
+        assert state.changed() == "environment variables"
+    assert state.changed() is None
 
 
 def test_the_store_holds_text_and_numbers_only(manifest, tmp_path):

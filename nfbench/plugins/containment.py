@@ -1,19 +1,24 @@
-"""What a run must leave as it was in its process, so that the next run in the same process is not affected."""
+"""What a plugin must leave as it was in its process, so that others in the same process are not affected."""
 
 from __future__ import annotations
 
 import builtins
 import contextlib
 import fcntl
+import gc
 import json
+import logging
 import math
 import os
 import random
 import resource
 import signal
 import sys
+import tempfile
 import threading
 import time
+import tracemalloc
+import warnings
 from collections.abc import Iterable
 from types import ModuleType
 from typing import Any, final
@@ -26,7 +31,7 @@ HIGH_DESCRIPTOR = 200  # our own descriptors are above it, where a run that clos
 LEAKED = 64  # descriptors that runs may leave open before the process is replaced
 _LIMITS = [getattr(resource, name) for name in dir(resource) if name.startswith("RLIMIT_")]
 _SHARED: tuple[ModuleType, ...] = (  # modules whose attributes other plugins rely on
-    *(builtins, json, math, os, random, sys, threading, time),
+    *(builtins, json, math, os, random, sys, tempfile, threading, time),
     *(np, np.random, np.linalg),
 )
 _CHANGING = {"_", "last_exc", "last_type", "last_value", "last_traceback", "stdout", "stderr"}
@@ -34,7 +39,7 @@ _CHANGING = {"_", "last_exc", "last_type", "last_value", "last_traceback", "stdo
 
 @final
 class Containment:
-    """Remembers the state of the process, and tells what a run has changed in it; cheap enough to ask after every run.
+    """Remembers the state of the process, and says what has changed; cheap enough to be asked after every run.
 
     own: descriptors, in addition to the standard streams, that a run must leave open.
     """
@@ -43,11 +48,16 @@ class Containment:
         self._descriptors = {descriptor: _identity(descriptor) for descriptor in (0, 1, 2, *own)}
         self._open = _open_descriptors()
         self._directory = _working_directory()
-        self._limits = [resource.getrlimit(limit) for limit in _LIMITS]
-        self._handlers = [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)]
+        self._limits = _limits()
+        self._signals = _signals()
         self._errors = np.geterr()
+        self._streams = (sys.stdout, sys.stderr)
+        self._interpreter = _interpreter()
+        self._variables = list(os.environ)
+        self._imported = len(sys.modules)
         self._threads = _threads()
         self._children = _children()
+        tempfile.gettempdir()  # sets an attribute at its first call
         self._modules = [(vars(module), dict(vars(module))) for module in _SHARED]
 
     def changed(self, thorough: bool = True) -> str | None:
@@ -61,10 +71,14 @@ class Containment:
             return "the number of open files"
         if _working_directory() != self._directory:
             return "the working directory"
-        if [resource.getrlimit(limit) for limit in _LIMITS] != self._limits:
+        if _limits() != self._limits:
             return "a resource limit"
-        if [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)] != self._handlers:
-            return "a signal handler"
+        if _signals() != self._signals:
+            return "a signal handler, mask or timer"
+        if (sys.stdout, sys.stderr) != self._streams or any(stream and stream.closed for stream in self._streams):
+            return "sys.stdout or sys.stderr"
+        if _interpreter() != self._interpreter or len(sys.modules) < self._imported:
+            return "a setting of the interpreter"
         if np.geterr() != self._errors:
             return "NumPy's error handling"
         if _children() - self._children:
@@ -73,6 +87,8 @@ class Containment:
             return "a thread that is left"
         if not thorough:
             return None
+        if any(name not in os.environ for name in self._variables):
+            return "environment variables"
         return next((f"module {now['__name__']}" for now, known in self._modules if _replaced(now, known)), None)
 
 
@@ -114,6 +130,23 @@ def _open_descriptors() -> int:
         return len(os.listdir("/proc/self/fd"))  # noqa: PTH208  # the fastest way
     except OSError:
         return 0
+
+
+def _limits() -> list[tuple[int, int]]:
+    return [resource.getrlimit(limit) for limit in _LIMITS]
+
+
+def _signals() -> tuple[object, ...]:
+    handlers = (signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM))
+    timer = signal.getitimer(signal.ITIMER_REAL)[0] > 0.0
+    return (*handlers, timer, signal.pthread_sigmask(signal.SIG_BLOCK, ()))
+
+
+def _interpreter() -> tuple[object, ...]:
+    """Settings that change how all code runs: recursion, tracing, warnings as errors, garbage, logging."""
+    errors = sum(entry[0] == "error" for entry in warnings.filters)
+    hooks = sys.gettrace(), sys.getprofile(), gc.isenabled(), tracemalloc.is_tracing()
+    return (sys.getrecursionlimit(), errors, *hooks, logging.root.manager.disable)
 
 
 def _working_directory() -> str | None:
