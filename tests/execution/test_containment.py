@@ -245,7 +245,7 @@ def test_containment_names_what_has_changed(monkeypatch, tmp_path):
     with np.errstate(all="raise"):
         assert state.changed() == "NumPy's error handling"
     with warnings.catch_warnings():
-        warnings.simplefilter("error")
+        warnings.filterwarnings("error", "another text")
         assert state.changed() == "a setting of the interpreter"
     with monkeypatch.context() as patch:
         patch.delenv("PATH")
