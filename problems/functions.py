@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from nfbench import Formulation, Ge, Instance, Minimize, Problem, ProblemInstance, Scenario
+from nfbench import Formulation, Ge, Instance, Le, Minimize, Problem, ProblemInstance, Scenario
 
 __all__ = ["Direct", "FunctionInstance", "FunctionProblem", "Functions", "Shape"]
 
@@ -191,7 +191,7 @@ class Functions(Scenario):
 
     function: name of the function. Its box is [-5.12, 5.12]ⁿ for sphere and rastrigin, [-5, 10]ⁿ for rosenbrock (which
         needs n >= 2), [-32.768, 32.768]ⁿ for ackley, [-600, 600]ⁿ for griewank and [-500, 500]ⁿ for schwefel.
-    dimension: number n of unknowns.
+    dimension: number n of unknowns, at most 1000.
     shifted: whether to move the minimum to a random point, uniform in the inner 80 % of the box along each axis; false:
         the minimum is at its classical place.
     rotated: whether to rotate the function about its minimum by a random orthogonal matrix.
@@ -202,7 +202,7 @@ class Functions(Scenario):
     """
 
     function: Literal["sphere", "rosenbrock", "rastrigin", "ackley", "griewank", "schwefel"] = "rastrigin"
-    dimension: Annotated[int, Ge(1)] = 2
+    dimension: Annotated[int, Ge(1), Le(1000)] = 2
     shifted: bool = True
     rotated: bool = False
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import copy
 import difflib
 import importlib.util
 import warnings
@@ -10,11 +11,13 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar
 
+import nlopt
 import numpy as np
 
-from nfbench import Ge, MeteredProblem, OptionError, Solver, SolverInfo
+from nfbench import Ge, Incompatible, MeteredProblem, OptionError, Solver, SolverInfo
 
 from ._finite import Finite
+from ._nevergrad import cannot_be_used, contained, surrogates_fail
 from ._wrapped import from_unit, global_random, planned
 
 __all__ = ["Nevergrad"]
@@ -27,6 +30,10 @@ class Nevergrad(Solver):
     Many of the optimizers choose their method from the budget and the number of unknowns. Nevergrad itself takes 0.1 ms
     or more per point; optimizers with a surrogate model ("BO", "MetaModel" …) become much slower with the number of
     points.
+
+    Some optimizers do not work with the installed versions of NumPy and other libraries; ``nfbench show solver
+    nevergrad`` lists them with the reason. Four more never end ("NLOPT_LN_NEWUOA_BOUND", "NgIohLn",
+    "NgIohMLn", "NgIohRS"), and the runs of three cannot be repeated ("DS14", "MultiDS", "VoxelizeMetaModelOnePlusOne").
 
     algorithm: name in ``nevergrad.optimizers.registry``: "NGOpt", "DE", "TwoPointsDE", "PSO", "OnePlusOne", "CMA" …
     horizon: number of evaluations to plan for if the budget does not limit them.
@@ -50,6 +57,13 @@ class Nevergrad(Solver):
             hint = f"; did you mean {' or '.join(near)}?" if near else "; e.g. NGOpt, DE, PSO, OnePlusOne, CMA"
             text = f"expected the name of a Nevergrad optimizer, got {self.algorithm!r}{hint}"
             raise OptionError(type(self).__name__, [("algorithm", text)])
+        if reason := cannot_be_used().get(self.algorithm):
+            text = f"expected an optimizer that works here, got {self.algorithm!r}: {reason}"
+            raise OptionError(type(self).__name__, [("algorithm", text)])
+
+    @classmethod
+    def unusable(cls) -> dict[str, str]:
+        return cannot_be_used()
 
     def warm_up(self) -> None:
         _registry()
@@ -59,16 +73,17 @@ class Nevergrad(Solver):
 
         finite = Finite(start=0.0)
         seeds = rng.integers(2**31 - 1, size=2).tolist()
-        with global_random(seeds[0]):  # some optimizers use NumPy's global generator
+        # some optimizers use NumPy's global generator; some end when rounding errors prevent further progress
+        with contextlib.suppress(nlopt.RoundoffLimited), global_random(seeds[0]), contained(seeds[0]):
             box = Array(init=rng.random(problem.dimension), lower=0.0, upper=1.0)
             box.random_state = np.random.RandomState(seeds[1])  # the type that Nevergrad requires
-            with _quiet():
-                optimizer = _registry()[self.algorithm](box, budget=planned(problem, self.horizon))
+            with _library():
+                optimizer = copy.deepcopy(_registry()[self.algorithm])(box, budget=planned(problem, self.horizon))
             while problem.remaining:
-                with _quiet():
+                with _library():
                     candidate = optimizer.ask()
                 value = finite.one(problem(from_unit(problem, candidate.value)))
-                with _quiet():
+                with _library():
                     optimizer.tell(candidate, value)
 
 
@@ -77,6 +92,21 @@ def _registry() -> Mapping[str, Any]:
     with _quiet():
         from nevergrad.optimization import registry
     return dict(registry)
+
+
+@contextlib.contextmanager
+def _library() -> Iterator[None]:
+    """Call the library without its warnings; raise Incompatible if it needs something that does not work here."""
+    where = "for this budget and number of unknowns"
+    try:
+        with _quiet():
+            yield
+    except ModuleNotFoundError as error:
+        raise Incompatible(f"{where}, it needs the module {error.name}, which is not installed here") from error
+    except TypeError as error:
+        if "array" in str(error) and surrogates_fail():
+            raise Incompatible(f"{where}, {surrogates_fail()}") from error
+        raise
 
 
 @contextlib.contextmanager

@@ -11,8 +11,8 @@ from collections.abc import Iterable
 from typing import Any
 
 from rich.console import Console
-from rich.markup import escape
 from rich.table import Table
+from rich.text import Text
 
 from nfbench.core import (
     OneOf,
@@ -24,6 +24,8 @@ from nfbench.core import (
     SolverInfo,
     Tune,
     canonical,
+    explain,
+    printable,
     suggest,
 )
 from nfbench.plugins import GROUPS, Registry
@@ -68,66 +70,106 @@ def print_catalogue(registry: Registry, kinds: Iterable[str], console: Console, 
     """Print one table per kind. ``chosen`` filters the solvers. Plugins that fail to import show their error."""
     chosen = chosen or Filter()
     for kind in kinds:
-        table = Table(title=f"{kind}s", title_justify="left", title_style="bold")
-        for head in _HEADS[kind]:
-            table.add_column(head, overflow="fold")
+        table = _table(f"{kind}s", _HEADS[kind])
         hidden: list[str] = []
+        notes: list[str] = []
         for name in registry.names(kind):
             plugin = registry.find(kind, name)
-            missing = None
             try:
                 cls = plugin.resolve()
                 missing = plugin.missing()
-                cells = _row(kind, cls, missing)
+                cells = [_text(cell) for cell in _row(kind, cls, missing)]
                 if issubclass(cls, Solver) and not chosen.admits(cls.info):
                     continue
-            except PluginError as error:
-                cells = [f"[red]{escape(str(error))}[/red]"]
-            if missing and not chosen.uninstalled:
-                hidden.append(name)
-                continue
-            table.add_row(name, *cells)
+                if missing and not chosen.uninstalled:
+                    hidden.append(name)
+                    continue
+                if issubclass(cls, Solver) and not missing and (broken := cls.unusable()):
+                    notes.append(f"{name}: {len(broken)} algorithms do not work here (nfbench show solver {name})")
+            except Exception as error:  # of the plugin: its row says why
+                cells = [_text(_reason(error), "red")]
+            table.add_row(_text(name), *cells)
         console.print(table)
         if hidden:
-            console.print(f"Not installed: {', '.join(hidden)} (nfbench list {kind}s --all)")
+            notes.insert(0, f"Not installed: {', '.join(hidden)} (nfbench list {kind}s --all)")
+        for note in notes:
+            console.print(_text(note))
     for file, why in registry.broken.items():
-        console.print(f"[red]{file.name} could not be imported: {escape(why)}[/red]")
+        console.print(_text(f"{file.name} could not be imported: {why}", "red"))
 
 
 def print_plugin(registry: Registry, kind: str, name: str, console: Console) -> None:
     """Print a plugin's docstring, and each option with type and default. Raises PluginError if it is unknown."""
     plugin = registry.find(kind, name)
     cls = plugin.resolve()
-    console.print(f"[bold]{kind} {name}[/bold] ({plugin.origin})\n")
-    console.print(_doc(cls), markup=False)
-    if issubclass(cls, Solver):
-        for field in dataclasses.fields(cls.info):
-            value = getattr(cls.info, field.name)
-            if value not in ("", None, ()):
-                value = ", ".join(value) if isinstance(value, tuple) else value
-                console.print(f"  {field.name}: {value}", markup=False)
-    if missing := plugin.missing():
-        console.print(f"\n{name} {missing}", markup=False, style="yellow", soft_wrap=True)
+    console.print(Text.assemble((printable(f"{kind} {name}"), "bold"), f" ({printable(plugin.origin)})\n"))
+    for line in _doc(cls).split("\n"):
+        console.print(_text(line))
+    try:
+        missing = plugin.missing()
+        if issubclass(cls, Solver):
+            _print_solver(cls, bool(missing), console)
+        if missing:
+            console.print(_text(f"\n{name} {missing}", "yellow"), soft_wrap=True)
+        _print_all_options(cls, console)
+    except PluginError:
+        raise
+    except Exception as error:
+        raise PluginError(f"{kind} {name} cannot be described: {explain(error)}") from error
+
+
+def _print_solver(cls: type[Solver], missing: bool, console: Console) -> None:
+    """Print the solver's properties, and the algorithms of a library that do not work here."""
+    for field in dataclasses.fields(cls.info):
+        value = getattr(cls.info, field.name)
+        if value not in ("", None, ()):
+            value = ", ".join(value) if isinstance(value, tuple) else value
+            console.print(_text(f"  {field.name}: {value}"))
+    reasons: dict[str, list[str]] = {}
+    for algorithm, reason in (cls.unusable() if not missing else {}).items():
+        reasons.setdefault(reason, []).append(algorithm)
+    if reasons:
+        console.print(_text("\nAlgorithms that do not work here:", "yellow"))
+    for reason, algorithms in reasons.items():
+        console.print(_text(f"  {reason}:\n    {', '.join(algorithms)}"))
+
+
+def _print_all_options(cls: type[Options], console: Console) -> None:
+    """Print the options of a class and those of the tables that its options accept."""
     _print_options("options", cls, console)
-    for name, hint in typing.get_type_hints(cls, include_extras=True).items():
+    for option, hint in typing.get_type_hints(cls, include_extras=True).items():
         for mark in _marks(hint):
             if isinstance(mark, OneOf):
-                for kind_, choice in mark.classes.items():
-                    _print_options(f'{name} = {{ kind = "{kind_}", … }}', choice, console)
+                for kind, choice in mark.classes.items():
+                    _print_options(f'{option} = {{ kind = "{kind}", … }}', choice, console)
         if _is_table(hint):
-            _print_options(f"{name} = {{ … }}", hint, console)
+            _print_options(f"{option} = {{ … }}", hint, console)
 
 
-def _print_options(title: str, cls: type, console: Console) -> None:
+def _print_options(title: str, cls: type[Options], console: Console) -> None:
     """Print a table of the options of one class."""
-    table = Table(title=escape(title), title_justify="left", title_style="bold")
-    for head in ("name", "type", "default"):
-        table.add_column(head, overflow="fold")
+    table = _table(title, ("name", "type", "default"))
     hints = typing.get_type_hints(cls, include_extras=True)
     for option in dataclasses.fields(cls):
-        table.add_row(option.name, escape(_type(hints[option.name])), escape(_default(option)))
+        table.add_row(_text(option.name), _text(_type(hints[option.name])), _text(_default(option)))
     if table.row_count:
         console.print(table)
+
+
+def _table(title: str, heads: Iterable[str]) -> Table:
+    table = Table(title=_text(title), title_justify="left", title_style="bold")
+    for head in heads:
+        table.add_column(head, overflow="fold")
+    return table
+
+
+def _text(text: object, style: str = "") -> Text:
+    """Return text from a plugin to be shown literally: without markup, emoji codes and control characters."""
+    return Text("\n".join(printable(line) for line in str(text).split("\n")), style)
+
+
+def _reason(error: Exception) -> str:
+    return str(error) if isinstance(error, PluginError) else f"cannot be described: {explain(error)}"
 
 
 _HEADS = {
@@ -146,7 +188,7 @@ def _row(kind: str, cls: Any, missing: str | None) -> list[str]:
             "yes" if info.stochastic else "no",
             "needed" if info.needs_gradient else "used" if info.uses_gradient else "no",
             f"{info.extra or ''}{' (not installed)' if missing else ''}".strip(),
-            escape(info.reference),
+            info.reference,
         ]
     first_line = _doc(cls).partition("\n")[0]
     description = f"{first_line} (not installed)" if missing else first_line
@@ -158,8 +200,33 @@ def _doc(cls: type) -> str:
     doc = inspect.getdoc(cls) or ""
     if doc.startswith(f"{cls.__name__}("):
         return ""
-    # join wrapped lines so that the terminal can wrap them; paragraphs, lists and "name: …" start a new line
-    return re.sub(r"(?<=\S)\n(?![\n\s]|\w[\w, ]*: )", " ", doc)
+    return _joined(doc)
+
+
+def _joined(doc: str) -> str:
+    """Join wrapped lines, so that the terminal can wrap them; paragraphs, lists and ``name: …`` start a new line.
+
+    An indented line continues the entry or list item above it. Elsewhere it is left alone, as in a block of code.
+    """
+    lines: list[str] = []
+    entry = False  # whether the current line began as an entry ``name: …`` or as a list item
+    for line in doc.split("\n"):
+        bare = line.strip()
+        if not bare or not lines or not lines[-1]:
+            entry = _starts_entry(bare)
+            lines.append(line.rstrip())
+        elif _starts_entry(bare) and not (entry and line[0].isspace()):
+            entry = True
+            lines.append(line)
+        elif line[0].isspace() and not entry:
+            lines.append(line)
+        else:
+            lines[-1] += f" {bare}"
+    return "\n".join(lines)
+
+
+def _starts_entry(line: str) -> bool:
+    return re.match(r"(\w[\w, ]*: |[-*•] |\d+[.)] )", line) is not None
 
 
 def _type(hint: Any) -> str:

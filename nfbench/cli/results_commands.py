@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import Iterator
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
 import typer
+
+from nfbench.core import NfbenchError, StoreError, explain, printable
 
 from .common import NOT_ALL_OK, OK, Folder, Plugins, app, output, warn
 
@@ -32,6 +37,23 @@ class Target(StrEnum):
     CSV = "csv"
 
 
+@contextlib.contextmanager
+def _explained(*folders: Path) -> Iterator[None]:
+    """Turn an exception that no check has foreseen into a message: the folders may hold values that no run gives."""
+    try:
+        with np.errstate(all="ignore"):  # numbers may be infinite
+            yield
+    except (NfbenchError, typer.Exit, BrokenPipeError):
+        raise
+    except Exception as error:
+        names = " and ".join(str(folder / "runs.sqlite") for folder in folders)
+        raise StoreError(
+            f"{names}: the results cannot be processed ({printable(explain(error))}). If values in the file are "
+            f"damaged, `nfbench run STUDY.toml --fresh` moves the folder aside and starts over; otherwise please "
+            f"report this"
+        ) from error
+
+
 @app.command()
 def merge(
     folders: Annotated[
@@ -39,12 +61,25 @@ def merge(
     ],
     out: Annotated[Path, typer.Option(help="Folder for the merged results: a new one, or one of the same study.")],
 ) -> None:
-    """Merge results folders of one study, such as its shards. Contradicting results are refused."""
-    from nfbench.results import merge as merge_folders
+    """Merge results folders of one study, such as its shards, or rescue what can be read of a damaged folder.
 
-    counts = merge_folders(folders, out).counts
-    total = sum(counts.values())
-    typer.echo(f"{out}: {total - counts.get('open', 0)} of {total} runs done, merged from {len(folders)} folders")
+    Contradicting results are refused. The exit code is 1 if something could not be read.
+    """
+    from nfbench.results import merge as merge_folders
+    from nfbench.results import missing_shards
+
+    unread: list[str] = []
+    with _explained(*folders):
+        results = merge_folders(folders, out, unread.append)
+        for text in unread:
+            warn(text)
+        counts = results.counts
+        total = sum(counts.values())
+        number = f"{len(folders)} folder{'s' if len(folders) > 1 else ''}"
+        typer.echo(f"{out}: {total - counts.get('open', 0)} of {total} runs done, merged from {number}")
+        if counts.get("open") and not unread and (missing := missing_shards(results)):
+            typer.echo(f"missing shards: {', '.join(missing[:10])}{' …' if len(missing) > 10 else ''}")
+    raise typer.Exit(NOT_ALL_OK if unread else OK)
 
 
 @app.command()
@@ -52,13 +87,17 @@ def compare(
     first: Annotated[Path, typer.Argument(metavar="DIR", help="Results folder.")],
     second: Annotated[Path, typer.Argument(metavar="DIR", help="Another results folder of the same study.")],
 ) -> None:
-    """Compare the runs of two results folders of one study. The exit code is 1 if the difference matters."""
+    """Compare the runs of two results folders of one study.
+
+    The exit code is 1 if the difference matters, or if that cannot be judged.
+    """
     from nfbench.report import print_comparison
     from nfbench.results import compare as compare_folders
 
-    found = compare_folders(first, second)
-    print_comparison(found, output())
-    raise typer.Exit(NOT_ALL_OK if found.matters else OK)
+    with _explained(first, second):
+        found = compare_folders(first, second)
+        print_comparison(found, output())
+    raise typer.Exit(NOT_ALL_OK if found.matters or found.undecided else OK)
 
 
 @app.command()
@@ -67,7 +106,8 @@ def report(folder: Folder) -> None:
     from nfbench.report import print_report
     from nfbench.results import Results
 
-    print_report(Results(folder), output())
+    with _explained(folder):
+        print_report(Results(folder), output())
 
 
 @app.command()
@@ -105,8 +145,9 @@ def figure(
     how = Drawing(
         width.value, metric.value if metric else None, title, positions, traces, manifest, tuple(plugin or ())
     )
-    for path in write_figures(Results(folder), out or folder, kinds, how, warn):
-        typer.echo(path)
+    with _explained(folder):
+        for path in write_figures(Results(folder), out or folder, kinds, how, warn):
+            typer.echo(path)
 
 
 @app.command()
@@ -121,4 +162,5 @@ def export(
     from nfbench.results import Results, export_csv, export_ioh
 
     write = {Target.IOH: export_ioh, Target.CSV: export_csv}[to]
-    typer.echo(write(Results(folder), out))
+    with _explained(folder):
+        typer.echo(write(Results(folder), out))

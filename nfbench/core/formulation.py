@@ -31,6 +31,14 @@ class Formulation(Options, ABC):
     accepts: ClassVar[type[Instance]]
     needs_solver: ClassVar[bool] = True
 
+    def warnings(self, scenario: Any) -> list[str]:
+        """Return sentences about options that are valid but probably not what was meant for this scenario.
+
+        ``scenario`` is one that draws instances of the class ``accepts``. The rest is as in ``Scenario.warnings``. An
+        example is a default grid that takes long for a large array. The default is an empty list.
+        """
+        return []
+
     @abstractmethod
     def solve(self, instance: Any, minimize: Minimize) -> ndarray:
         """Return the estimate for ``instance``, in the form that ``instance.score`` expects.

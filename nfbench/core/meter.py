@@ -265,7 +265,7 @@ class MeteredProblem(Problem):
             if not math.isfinite(value):
                 self._nonfinite += 1
                 value = math.inf
-            if value < self._best_value or number == 1:
+            if value < self._best_value or not self._recorder.rows:
                 self._improve(number, x, value)
         return value
 
@@ -274,7 +274,7 @@ class MeteredProblem(Problem):
         with self._lock:
             best_before = np.minimum.accumulate(np.concatenate([[self._best_value], values[:-1]]))
             improved = values < best_before
-            improved[0] |= before == 0
+            improved[0] |= not self._recorder.rows
             for i in np.flatnonzero(improved):
                 self._improve(before + int(i) + 1, batch[i], float(values[i]))
 

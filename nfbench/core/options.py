@@ -17,6 +17,8 @@ import dataclasses
 import difflib
 import functools
 import inspect
+import math
+import reprlib
 import typing
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
@@ -47,6 +49,9 @@ T = TypeVar("T", bound="Options")
 
 _known_adapters: dict[type, dict[str, TypeAdapter[Any]]] = {}
 _folder: contextvars.ContextVar[Path | None] = contextvars.ContextVar("folder", default=None)
+
+DEPTH = 32  # lists and tables nested deeper than this are refused
+SUGGESTIONS = 50  # unknown options for which the nearest known name is looked up, which takes 0.2 ms each
 
 
 @dataclasses.dataclass(frozen=True)
@@ -85,7 +90,9 @@ def build(cls: type[T], options: Mapping[str, Any]) -> T:
     if undeclared := _undeclared(cls):
         text = f"is not a dataclass field: put @dataclass(frozen=True) above class {cls.__name__}"
         raise OptionError(cls.__name__, [(name, text) for name in undeclared])
-    problems = [(name, _unknown(cls, name, fields)) for name in options if name not in fields]
+    unknown = [name for name in options if name not in fields]
+    problems = [(str(name), _unknown(cls, str(name), fields)) for name in unknown[:SUGGESTIONS]]
+    problems += [(str(name), "unknown option") for name in unknown[SUGGESTIONS:]]
     for name, field in fields.items():
         if field.default is field.default_factory is dataclasses.MISSING and name not in options:
             problems.append((name, _required(cls, name)))
@@ -147,7 +154,7 @@ def _at_default(made: Options, field: dataclasses.Field[Any]) -> bool:
 def suggest(name: str, known: Iterable[str]) -> str:
     """Return ``; did you mean "x"?`` with the nearest name of ``known``, or else ``; known: …`` with all names."""
     known = sorted(known)
-    near = difflib.get_close_matches(name, known, n=1)
+    near = difflib.get_close_matches(name, known, n=1) if len(name) <= 100 else []
     if near:
         return f'; did you mean "{near[0]}"?'
     return f"; known: {', '.join(known)}" if known else ""
@@ -206,11 +213,12 @@ class OneOf:
         if isinstance(value, Options) and isinstance(value, tuple(self.classes.values())):
             return value
         if not isinstance(value, Mapping):
-            raise ValueError(f"expected a table with a kind ({', '.join(self.classes)}), got {value!r}")
+            raise ValueError(f"expected a table with a kind ({', '.join(self.classes)}), got {_shown(value)}")
         kind = value.get("kind")
-        if kind not in self.classes:
-            hint = suggest(str(kind), self.classes) if kind is not None else f"; known: {', '.join(self.classes)}"
-            raise OptionError("", [("kind", f"{'is required' if kind is None else f'unknown kind {kind!r}'}{hint}")])
+        if not isinstance(kind, str) or kind not in self.classes:
+            hint = suggest(kind, self.classes) if isinstance(kind, str) else f"; known: {', '.join(self.classes)}"
+            problem = "is required" if kind is None else f"unknown kind {_shown(kind)}"
+            raise OptionError("", [("kind", f"{problem}{hint}")])
         return build(self.classes[kind], {name: item for name, item in value.items() if name != "kind"})
 
 
@@ -226,7 +234,13 @@ def relative_to(folder: Path) -> Iterator[None]:
 
 def _resolve(path: str) -> str:
     resolved = (_folder.get() or Path()) / path
-    if not resolved.is_file():
+    try:
+        is_file, exists = resolved.is_file(), resolved.exists()
+    except OSError as error:  # e.g. a name that is too long, or a folder without permission
+        raise ValueError(f"cannot be read: {error.strerror}: {_shown(str(resolved))}") from error
+    if exists and not is_file:
+        raise ValueError(f"expected a regular file, got a folder or device: {resolved}")
+    if not is_file:
         raise ValueError(f"no such file: {resolved}")
     return str(resolved)
 
@@ -257,26 +271,59 @@ def _table(cls: type[Options], value: Any) -> Options:
     if isinstance(value, cls):
         return value
     if not isinstance(value, Mapping):
-        raise ValueError(f"expected a table ({', '.join(f.name for f in dataclasses.fields(cls))}), got {value!r}")
+        names = ", ".join(f.name for f in dataclasses.fields(cls))
+        raise ValueError(f"expected a table ({names}), got {_shown(value)}")
     return build(cls, value)
 
 
 def _checked(cls: type[Options], name: str, value: Any) -> tuple[Any, list[tuple[str, str]]]:
     """Return the value converted to the type of the field, and the problems found as (path, message) pairs."""
-    value = _frozen(value)
-    if isinstance(value, float) and value != value:
-        return value, [(name, "expected a number, got nan")]
+    value, problems = _frozen(value, name)
+    if problems:
+        return value, problems
     try:
         return _adapters(cls)[name].validate_python(value), []
     except ValidationError as error:
         return value, _explain(name, error)
 
 
-def _frozen(value: Any) -> Any:
-    """Convert lists to tuples, so that options can be hashed and compared."""
-    if isinstance(value, list | tuple):
-        return tuple(_frozen(item) for item in value)
-    return value
+def _frozen(value: Any, path: str, depth: int = 0) -> tuple[Any, list[tuple[str, str]]]:
+    """Convert lists to tuples, so that options can be hashed and compared; also return the problems found.
+
+    NaN, and lists and tables nested too deeply, are refused wherever they stand.
+    """
+    if isinstance(value, float) and math.isnan(value):
+        return value, [(path, "expected a number, got nan")]
+    if not isinstance(value, list | tuple | Mapping):
+        return value, []
+    if depth == DEPTH:
+        return value, [(path, f"expected at most {DEPTH} nested lists or tables, got more")]
+    is_table = isinstance(value, Mapping)
+    places = [f"{path}.{key}" for key in value] if is_table else [f"{path}[{i}]" for i in range(len(value))]
+    frozen, problems = [], []
+    for place, item in zip(places, value.values() if isinstance(value, Mapping) else value, strict=True):
+        inner, found = _frozen(item, place, depth + 1)
+        problems += found
+        frozen.append(inner)
+    return value if is_table else tuple(frozen), problems
+
+
+class _Short(reprlib.Repr):
+    """Like ``repr``, but short for any value, also for integers that Python refuses to print."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.maxlevel, self.maxtuple, self.maxlist, self.maxdict = 4, 12, 12, 12
+        self.maxstring = self.maxother = 160
+
+    def repr_tuple(self, x: tuple[Any, ...], level: int) -> str:
+        return self.repr_list(list(x), level)
+
+    def repr_int(self, x: int, level: int) -> str:
+        return repr(x) if x.bit_length() <= 256 else f"an integer of {x.bit_length()} bits"
+
+
+_shown = _Short().repr
 
 
 def _explain(name: str, error: ValidationError) -> list[tuple[str, str]]:
@@ -296,9 +343,10 @@ def _explain(name: str, error: ValidationError) -> list[tuple[str, str]]:
             item["msg"] = "a list with " + item["msg"].split("should have ")[1].split(" after")[0]
         expected = item["msg"].removeprefix("Input should be ").removeprefix("a valid ").replace("tuple", "list")
         expected = expected.replace("dictionary", "table")
-        actual = list(item["input"]) if isinstance(item["input"], tuple) else item["input"]
-        text = str(inner) if inner is not None else f"expected {expected}, got {actual!r}"
+        text = str(inner) if inner is not None else f"expected {expected}, got {_shown(item['input'])}"
         problems.setdefault(path, []).append(text)
+    if any(path.startswith(f"{name}[") for path in problems):  # a list: the other branches of a union do not matter
+        problems.pop(name, None)
     return [(path, _joined(texts)) for path, texts in problems.items()]
 
 

@@ -79,6 +79,15 @@ class Scenario(Options, ABC):
         """Return the optional library that the scenario needs with these options. The default is None."""
         return None
 
+    def warnings(self) -> list[str]:
+        """Return sentences about options that are valid but probably not what was meant, e.g. a wrong unit.
+
+        Each sentence names the option, its value with the unit, and what may be wrong. ``load_study`` collects them in
+        ``Study.warnings``, and ``nfbench run`` prints them; they do not prevent the study from running. The method must
+        return within milliseconds. The default is an empty list.
+        """
+        return []
+
     @abstractmethod
     def draw(self, rng: np.random.Generator) -> Instance:
         """Draw one instance. All randomness must come from ``rng``."""

@@ -58,6 +58,15 @@ class Solver(Options, ABC):
 
     info: ClassVar[SolverInfo] = SolverInfo()
 
+    @classmethod
+    def unusable(cls) -> dict[str, str]:
+        """Return the values of the option ``algorithm`` that do not work with the installed libraries, with reasons.
+
+        The solver's ``validate`` refuses them. The default is that all values work. The method is called only if the
+        modules that the solver requires are installed.
+        """
+        return {}
+
     def warm_up(self) -> None:
         """Compile or load what ``minimize`` needs. It is called before the run is timed."""
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import contextlib
 import io
 import os
+import warnings
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -45,7 +46,7 @@ class Drawing:
     positions: whether to draw true and estimated positions; None: only if the study is small.
     traces: whether to draw convergence.
     manifest: manifest from which the scenario is read to draw positions; None: the copy in the study's folder.
-    plugins: plugin files that the scenario needs.
+    plugins: plugin files that the scenario needs; those that the manifest names are not imported.
     """
 
     width: Literal["single", "double"] = "single"
@@ -69,7 +70,16 @@ def figures(
     Raises StoreError if there is no study, and NfbenchError if no run has an estimate yet, or if requested positions
     or traces cannot be drawn.
     """
-    how = how or Drawing()
+    seen: set[str] = set()
+    for stem, figure in _figures(results, how or Drawing(), warn):
+        name, number = stem, 2
+        while name.lower() in seen:  # different values may give the same stem
+            name, number = f"{stem}-{number}", number + 1
+        seen.add(name.lower())
+        yield name, figure
+
+
+def _figures(results: Results, how: Drawing, warn: Callable[[str], object]) -> Iterator[tuple[str, Figure]]:
     study = drawn(results, how.title)
     left = results.counts.get("open", 0)
     if left:
@@ -112,7 +122,8 @@ def write_figures(
     Raises the errors of ``figures``, and NfbenchError if a file cannot be written.
     """
     paths = []
-    with styled():
+    with styled(), warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="Glyph .* missing from font")  # a label in another script
         for stem, figure in figures(results, how, warn):
             for kind in formats:
                 drawing = io.BytesIO()

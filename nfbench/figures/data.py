@@ -134,6 +134,8 @@ def drawn(results: Results, title: bool = True) -> Drawn:
         reason = "no run has finished yet" if runs.empty else "no run ended with an estimate"
         raise NfbenchError(f"{results.folder}: nothing to draw: {reason}")
     error, by = meta["error"], default_groups(runs)
+    if error not in ok.columns:
+        raise NfbenchError(f"{results.folder}: nothing to draw: no run has the study's error measure {error!r:.80}")
     table = results.summary()
     groups: dict[Any, pd.DataFrame] = dict(list(ok.groupby(by, sort=False)))
     keys = [tuple(row) for row in table[by].itertuples(index=False)]

@@ -25,6 +25,7 @@ __all__ = ["BOUNDS", "error_figures", "headed", "method_handles", "named", "slug
 
 PANELS = {"single": 3, "double": 4}  # values of a second key in one figure; if there are more, each has its own figure
 NAME = {"single": 26, "double": 50}  # characters per line of a method's name
+STEM = 120  # characters of a file name
 BANDS = 5  # with more methods, intervals are bars, because bands would hide each other
 BOUNDS: dict[str, tuple[str, dict[str, Any]]] = {  # columns of the summary that are drawn in addition to the methods
     "crb_m": ("Cramér–Rao bound", {"color": "black", "linestyle": "--", "linewidth": 1.0}),
@@ -58,9 +59,9 @@ def named(part: Drawn) -> str:
 
 
 def slug(part: Drawn) -> str:
-    """The fixed values of a part, as part of a file name."""
+    """The fixed values of a part, as part of a file name; different values may give the same."""
     texts = [f"{key_of(column)}-{text_of(value)}".replace("∞", "inf").replace("−", "-") for column, value in part.where]
-    return re.sub(r"[^A-Za-z0-9_.-]+", "-", "-".join(texts)).strip("-")
+    return re.sub(r"[^A-Za-z0-9_.-]+", "-", "-".join(texts)).strip("-.")[:STEM]
 
 
 def method_handles(study: Drawn, joined: bool) -> dict[str, Artist]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,8 +9,12 @@ from typing import Any, final
 
 import numpy as np
 
+from nfbench.core import printable
+from nfbench.results import from_cell
+
 __all__ = ["Places", "name_of", "places", "plain", "setting", "text_of"]
 
+LONGEST = 400  # bytes of a line; longer ones end in an ellipsis
 _NAMES = {  # swept keys whose label needs more than the name, such as a symbol
     "snr_db": "SNR [dB]",
     "rician_k": "Rician factor κ",
@@ -28,8 +31,11 @@ _LINEAR_UNITS = ("[dB]", "[°]", "[rad]")
 
 
 def plain(text: str) -> str:
-    """Text that matplotlib prints literally: no mathematics between dollar signs, no label hidden by its ``_``."""
-    text = text.replace("$", r"\$")
+    """Text that matplotlib prints literally, without control characters.
+
+    There is no mathematics between dollar signs, and no label is hidden by its ``_``.
+    """
+    text = "\n".join(printable(line, LONGEST) for line in text.split("\n")).replace("$", r"\$")
     return f"\N{THIN SPACE}{text}" if text.startswith("_") else text
 
 
@@ -52,9 +58,7 @@ def setting(key: str, value: Any) -> str:
 
 def text_of(value: Any) -> str:
     """A cell of a swept column as text: ∞ for infinity, ``0, 20, 40`` for a list, kind and options for a table."""
-    if isinstance(value, str) and value[:1] in "[{":
-        return _text(json.loads(value))
-    return _text(value)
+    return _text(from_cell(value))
 
 
 def _text(value: Any) -> str:

@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from numpy import ndarray
 
-from nfbench.core import NfbenchError, Scenario, Status
+from nfbench.core import NfbenchError, Scenario, Status, explain
 from nfbench.results import Results, cell
 from nfbench.study import load_scenarios
 
@@ -64,7 +64,8 @@ def position_figures(
     """Yield (file stem, figure) of each scenario point with its first ten repetitions.
 
     Yields nothing if the instances have no positions. Instances are redrawn from the manifest's scenario and the
-    stored seeds. Raises NfbenchError if that is not possible, or gives instances other than those of the runs.
+    stored seeds. Of plugin files, only ``plugins`` are imported, whatever the manifest names. Raises NfbenchError if
+    that is not possible, or gives instances other than those of the runs.
     """
     scenarios = {_key(swept.items()): scenario for swept, scenario in load_scenarios(manifest, plugins)}
     estimates = dict(results.estimates())
@@ -74,7 +75,12 @@ def position_figures(
             raise NfbenchError(
                 f"{manifest}: expected the scenario of the runs, found none with {named(part) or 'no sweep'}"
             )
-        places = _redrawn(part, scenario, estimates)
+        try:
+            places = _redrawn(part, scenario, estimates)
+        except NfbenchError:
+            raise
+        except Exception as error:  # of the scenario, which may be a plugin's or meet estimates that are not its own
+            raise NfbenchError(f"{manifest}: positions cannot be redrawn: {explain(error)}") from error
         if places is not None:
             stem = f"positions-{slug(part)}" if part.where else "positions"
             yield stem, _figure(part, places, width)

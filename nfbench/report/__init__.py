@@ -2,6 +2,6 @@
 
 from __future__ import annotations
 
-from .terminal import number_text, print_comparison, print_report, summary_table
+from .terminal import number_text, print_comparison, print_report, shown, summary_table
 
-__all__ = ["number_text", "print_comparison", "print_report", "summary_table"]
+__all__ = ["number_text", "print_comparison", "print_report", "shown", "summary_table"]

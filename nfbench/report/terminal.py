@@ -10,14 +10,14 @@ import numpy as np
 import pandas as pd
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
-from rich.markup import escape
 from rich.table import Table
+from rich.text import Text
 
-from nfbench.analysis import default_groups, verdict
-from nfbench.core import Status
+from nfbench.analysis import MIN_RUNS, default_groups, verdict
+from nfbench.core import Status, printable
 from nfbench.results import Comparison, Results
 
-__all__ = ["number_text", "print_comparison", "print_report", "summary_table"]
+__all__ = ["number_text", "print_comparison", "print_report", "shown", "summary_table"]
 
 SHOWN = 20  # maximum number of differing runs that are printed
 DISPENSABLE = ("90 %", "runs", "off by", "95 % interval", "evals")  # dropped first, in this order, on a narrow terminal
@@ -30,21 +30,24 @@ def print_report(results: Results, console: Console) -> None:
         console.print("No run has finished yet.")
         return
     if meta["title"]:
-        console.print(f"\n[bold]{escape(meta['title'])}[/bold]")
+        console.print()
+        console.print(shown(meta["title"], "bold"))
     if meta["expect"]:
-        console.print(f"[dim]Expected: {escape(meta['expect'])}[/dim]")
+        console.print(shown(f"Expected: {meta['expect']}", "dim"))
     left = results.counts.get("open", 0)
     if left:
         console.print(f"[yellow]Unfinished study: {len(runs)} of {left + len(runs)} runs are done.[/yellow]")
     for title, rows, point_runs in _by_point(summary, runs):
         console.print()
         console.print(summary_table(title, rows, meta["error"], float(meta["outlier_m"]), console))
-        console.print(escape(verdict(point_runs, meta["error"])))
+        console.print(shown(verdict(point_runs, meta["error"])))
     _print_failures(runs, console)
 
 
 def print_comparison(found: Comparison, console: Console) -> None:
     """Print how two folders differ, the runs that differ most, and the effect on the methods' errors."""
+    for note in found.notes:
+        console.print(shown(note, "yellow"))
     console.print(
         f"Runs in both folders: {found.equal} identical, {found.rounding} equal within rounding (1e-9), "
         f"{len(found.rows)} different. Runs only in the first folder: {found.only_first}; "
@@ -54,14 +57,30 @@ def print_comparison(found: Comparison, console: Console) -> None:
         console.print(_frame(found.rows.sort_values("change", ascending=False).head(SHOWN)))
         if len(found.rows) > SHOWN:
             console.print(f"… and {len(found.rows) - SHOWN} more runs")
-        console.print(_frame(found.methods))
+        console.print(_frame(found.methods.drop(columns="unknown")))
+    console.print(shown(_conclusion(found)))
+
+
+def _conclusion(found: Comparison) -> str:
+    """Whether the difference matters, as far as the intervals tell."""
     if found.matters:
-        console.print(
-            "The difference matters: runs are missing, a status changed, or an error left its 95\u00a0% interval."
+        return "The difference matters: runs are missing, a status changed, or an error left its 95\u00a0% interval."
+    if found.undecided and not len(found.rows):
+        return "No run is in both folders, so nothing can be judged."
+    if found.undecided:
+        methods = ", ".join(dict.fromkeys(found.methods.loc[found.methods["unknown"], "method"].map(str)))
+        return (
+            f"Whether the difference matters cannot be judged: there is no 95\u00a0% interval, which needs at least "
+            f"{MIN_RUNS} successful runs, for {methods}."
         )
-    else:
-        sentence = "The difference does not matter: every error stays within its 95\u00a0% interval."
-        console.print(sentence if len(found.rows) else "")
+    if len(found.rows):
+        return "The difference does not matter: every error stays within its 95\u00a0% interval."
+    return "The folders agree."
+
+
+def shown(text: object, style: str = "") -> Text:
+    """Text from a plugin or a file as it is printed: without control characters, and not read as rich's markup."""
+    return Text(printable(text), style)
 
 
 def _frame(frame: pd.DataFrame) -> Table:
@@ -69,9 +88,9 @@ def _frame(frame: pd.DataFrame) -> Table:
     names = list(dict.fromkeys(name.removesuffix("_first").removesuffix("_second") for name in frame.columns))
     table = Table(box=SIMPLE_HEAD, pad_edge=False)
     for name in names:
-        table.add_column(name.removeprefix("scenario."), overflow="fold")
+        table.add_column(shown(name.removeprefix("scenario.")), overflow="fold")
     for row in frame.to_dict("records"):
-        table.add_row(*(escape(_before_after(row, name)) for name in names))
+        table.add_row(*(shown(_before_after(row, name)) for name in names))
     return table
 
 
@@ -98,7 +117,7 @@ def summary_table(where: str, rows: pd.DataFrame, error: str, outlier_m: float, 
     metres = error == "rmse_m"
     name, unit = ("RMSE", "m") if metres else (f"RMS {error}", "")
     median, q90 = ("median_m", "q90_m") if metres else (f"{error}_median", f"{error}_q90")
-    columns: dict[str, tuple[str, Callable[[Any], str]]] = {  # heading: (unit, cell of a row)
+    columns: dict[str, tuple[str, Callable[[Any], str | Text]]] = {  # heading: (unit, cell of a row)
         name: (unit, lambda row: number_text(row[error])),
         "95 % interval": (unit, lambda row: _interval(row[f"{error}_low"], row[f"{error}_high"])),
         "median": (unit, lambda row: number_text(row[median])),
@@ -107,7 +126,7 @@ def summary_table(where: str, rows: pd.DataFrame, error: str, outlier_m: float, 
         "evals": ("", lambda row: _count(row["evaluations"])),
         "time": ("s", lambda row: number_text(row["runtime_s"])),
         "runs": ("", lambda row: str(row["runs"])),
-        "failed": ("", lambda row: f"[red]{row['failed']}[/red]" if row["failed"] else "0"),
+        "failed": ("", lambda row: Text(str(row["failed"]), "red" if row["failed"] else "")),
     }
     if not metres:
         del columns["off by"]
@@ -120,13 +139,15 @@ def summary_table(where: str, rows: pd.DataFrame, error: str, outlier_m: float, 
         del columns[droppable[0]]
 
 
-def _table(where: str, rows: pd.DataFrame, columns: dict[str, tuple[str, Callable[[Any], str]]]) -> Table:
-    table = Table(title=where or None, title_justify="left", title_style="bold", box=SIMPLE_HEAD, pad_edge=False)
+def _table(where: str, rows: pd.DataFrame, columns: dict[str, tuple[str, Callable[[Any], str | Text]]]) -> Table:
+    table = Table(
+        title=shown(where) if where else None, title_justify="left", title_style="bold", box=SIMPLE_HEAD, pad_edge=False
+    )
     table.add_column("method\n", overflow="fold")
     for head, (measure, _) in columns.items():
-        table.add_column(f"{head}\n{measure}", justify="right", no_wrap=True)
+        table.add_column(Text(f"{printable(head)}\n{measure}"), justify="right", no_wrap=True)
     for row in rows.to_dict("records"):
-        table.add_row(escape(str(row["method"])), *(cell(row) for _, cell in columns.values()))
+        table.add_row(shown(row["method"]), *(cell(row) for _, cell in columns.values()))
     return table
 
 
@@ -134,7 +155,7 @@ def _print_failures(runs: pd.DataFrame, console: Console) -> None:
     """Print each status other than ok with its number of runs, its method and one message."""
     bad = runs[runs["status"] != Status.OK]
     for (status, method), group in bad.groupby(["status", "method"], sort=False):
-        console.print(f"[red]{status}[/red] × {len(group)}: {escape(str(method))}: {escape(group['message'].iloc[0])}")
+        console.print(shown(status, "red") + shown(f" × {len(group)}: {method}: {group['message'].iloc[0]}"))
 
 
 def number_text(value: float) -> str:

@@ -5,15 +5,15 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
-from .folder import locked, prepare, write_whole
+from .cells import cell, from_cell
+from .folder import locked, network_file_system, prepare, write_whole
 from .results import Results
-from .store import Store, network_file_system
+from .store import Store
 
 if TYPE_CHECKING:
     from .comparison import Comparison, compare
     from .export import export_csv, export_ioh
-    from .frames import cell
-    from .merging import merge
+    from .merging import merge, missing_shards
 
 __all__ = [
     "Comparison",
@@ -23,8 +23,10 @@ __all__ = [
     "compare",
     "export_csv",
     "export_ioh",
+    "from_cell",
     "locked",
     "merge",
+    "missing_shards",
     "network_file_system",
     "prepare",
     "write_whole",
@@ -32,11 +34,11 @@ __all__ = [
 
 _MODULES = {
     "Comparison": "comparison",
-    "cell": "frames",
     "compare": "comparison",
     "export_csv": "export",
     "export_ioh": "export",
     "merge": "merging",
+    "missing_shards": "merging",
 }
 
 

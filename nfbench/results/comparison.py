@@ -28,8 +28,10 @@ class Comparison:
     only_first, only_second: number of runs that only this folder has.
     rows: the runs that differ by more, with the columns ``<name>_first``, ``<name>_second`` and ``change``, the
     greatest relative difference of a number (inf if the status differs, or only one of the numbers is finite).
-    methods: each method's error in both folders, and whether the second lies outside the first's 95 % interval
-    (column ``outside``); empty if no rows differ.
+    methods: each method's error in both folders, whether the second lies outside the first's 95 % interval (column
+    ``outside``), and whether that cannot be said because the errors differ and there is no interval (column
+    ``unknown``); empty if no rows differ.
+    notes: sentences about differences between the studies themselves.
     """
 
     equal: int
@@ -38,6 +40,7 @@ class Comparison:
     only_second: int
     rows: pd.DataFrame
     methods: pd.DataFrame
+    notes: tuple[str, ...] = ()
 
     @property
     def matters(self) -> bool:
@@ -46,24 +49,38 @@ class Comparison:
         moved = bool(len(self.methods)) and bool(self.methods["outside"].any())
         return statuses or moved or bool(self.only_first or self.only_second)
 
+    @property
+    def undecided(self) -> bool:
+        """Whether the data do not tell if the difference matters: no interval, or no run in both folders."""
+        unknown = bool(len(self.methods)) and bool(self.methods["unknown"].any())
+        return not self.matters and (unknown or not (self.equal or self.rounding or len(self.rows)))
+
 
 def compare(first: str | Path, second: str | Path) -> Comparison:
     """Compare the runs of two folders. Runs are matched by scenario point, method and repetition.
 
-    Raises StoreError if a folder holds no results, or if the second does not sweep all keys of the first.
+    Raises StoreError if a folder holds no results, or if they belong to different studies: another name, seed or error
+    measure, or other swept keys. Another manifest or plugin version is noted.
     """
     one, two = Results(Path(first)), Results(Path(second))
-    a, b, error = one.runs, two.runs, one.meta["error"]
+    error, notes = _same_study(one, two)
+    a, b = one.runs, two.runs
     key = [name for name in a.columns if name.startswith("scenario.")] + ["method", "repetition"]
-    if lacking := [name for name in key if name not in b.columns]:
-        raise StoreError(f"cannot compare {first} with {second}: only the first sweeps {', '.join(lacking)}")
-    both = a.merge(b, on=key, how="outer", suffixes=("_first", "_second"), indicator=True)
+    for lacking, which in ((set(key) - set(b.columns), "first"), (_swept(b) - set(key), "second")):
+        if lacking and len(a) and len(b):
+            raise StoreError(
+                f"cannot compare {first} with {second}: only the {which} sweeps {', '.join(sorted(lacking))}"
+            )
+    key = [name for name in key if name in b.columns]
+    both = _objects(a, key).merge(_objects(b, key), on=key, how="outer", suffixes=("_first", "_second"), indicator=True)
     joined = both[both["_merge"] == "both"]
     names = [name for name in (error, *COMPARED) if f"{name}_first" in joined.columns]
     change = _change(joined, names)
     differing = joined[change > ROUNDING]
     shown = key + [f"{name}_{side}" for name in ("status", *names) for side in ("first", "second")]
     rows = differing[shown].assign(change=change[change > ROUNDING])
+    if (joined["instance_seed_first"] != joined["instance_seed_second"]).any():
+        notes.append("The scenes differ: an option of the scenario has changed.")
     return Comparison(
         equal=int((change == 0).sum()),
         rounding=int(((change > 0) & (change <= ROUNDING)).sum()),
@@ -71,7 +88,33 @@ def compare(first: str | Path, second: str | Path) -> Comparison:
         only_second=int((both["_merge"] == "right_only").sum()),
         rows=rows,
         methods=_methods(one, two, error) if len(rows) else pd.DataFrame(),
+        notes=tuple(notes),
     )
+
+
+def _same_study(one: Results, two: Results) -> tuple[str, list[str]]:
+    """The error measure, and sentences about what differs. Raises StoreError if the studies are different ones."""
+    ours, theirs = one.meta, two.meta
+    differing = [
+        f"{key} {ours[key]!r:.80} and {theirs[key]!r:.80}"
+        for key in ("name", "seed", "error")
+        if ours[key] != theirs[key]
+    ]
+    if differing:
+        raise StoreError(f"cannot compare {one.folder} with {two.folder}: different studies: {'; '.join(differing)}")
+    notes = []
+    if ours.get("plan") != theirs.get("plan"):
+        notes.append("The folders plan different runs: their manifests or the versions of plugins differ.")
+    return ours["error"], notes
+
+
+def _swept(runs: pd.DataFrame) -> set[str]:
+    return {name for name in runs.columns if name.startswith("scenario.")}
+
+
+def _objects(runs: pd.DataFrame, names: list[str]) -> pd.DataFrame:
+    """The runs with these columns as objects, because pandas does not join numbers with text."""
+    return runs.astype(dict.fromkeys(names, object))
 
 
 def _change(joined: pd.DataFrame, names: list[str]) -> pd.Series[float]:
@@ -80,7 +123,7 @@ def _change(joined: pd.DataFrame, names: list[str]) -> pd.Series[float]:
     for name in names:
         x, y = (joined[f"{name}_{side}"].to_numpy(dtype=float) for side in ("first", "second"))
         scale = np.maximum(np.abs(x), np.abs(y))
-        with np.errstate(invalid="ignore", divide="ignore"):
+        with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
             relative = np.where((x == y) | (np.isnan(x) & np.isnan(y)), 0.0, np.abs(x - y) / scale)
         change = np.maximum(change, np.where(np.isnan(relative), np.inf, relative))
     same_status = joined["status_first"] == joined["status_second"]
@@ -91,6 +134,9 @@ def _methods(one: Results, two: Results, error: str) -> pd.DataFrame:
     """Each method's error in both folders at each scenario point."""
     groups = default_groups(one.runs)
     columns = [*groups, error, f"{error}_low", f"{error}_high"]
-    table = one.summary()[columns].merge(two.summary()[[*groups, error]], on=groups, suffixes=("_first", "_second"))
-    outside = (table[f"{error}_second"] < table[f"{error}_low"]) | (table[f"{error}_second"] > table[f"{error}_high"])
-    return table.assign(outside=outside)
+    ours, theirs = (_objects(results.summary(), groups) for results in (one, two))
+    table = ours[columns].merge(theirs[[*groups, error]], on=groups, suffixes=("_first", "_second"))
+    before, after = table[f"{error}_first"], table[f"{error}_second"]
+    low, high = table[f"{error}_low"], table[f"{error}_high"]
+    same = np.isclose(before, after, rtol=ROUNDING, atol=0.0, equal_nan=True)
+    return table.assign(outside=(after < low) | (after > high), unknown=~same & (low.isna() | after.isna()))

@@ -16,10 +16,10 @@ import numpy as np
 
 from nfbench.core import NfbenchError, Status, Trace
 
+from .cells import cell, csv_text
 from .folder import whole_folder, write_whole
-from .frames import cell
 from .results import Results
-from .store import TracedRun
+from .rows import TracedRun
 
 __all__ = ["Exported", "export_csv", "export_ioh"]
 
@@ -114,7 +114,8 @@ def export_csv(results: Results, out: Path | None = None) -> Exported:
             rows, dimension = csv.writer(body), 0
             for run in results.traced_runs():
                 if exported.takes(None if run.traces else _status(run, "without a trace")):
-                    about = [run.run_id, run.method, run.repetition, *(cell(run.swept.get(key)) for key in keys)]
+                    swept = [_csv_cell(run.swept.get(key)) for key in keys]
+                    about = [run.run_id, csv_text(run.method), run.repetition, *swept]
                     for number, trace in enumerate(run.traces):
                         dimension = max(dimension, trace.points.shape[1])
                         columns = (trace.evaluations, trace.seconds, trace.values, *trace.points.T)
@@ -130,6 +131,11 @@ def export_csv(results: Results, out: Path | None = None) -> Exported:
 
     write_whole(out, write)
     return exported
+
+
+def _csv_cell(value: Any) -> Any:
+    found = cell(value)
+    return csv_text(found, is_cell=True) if isinstance(found, str) else found
 
 
 def _refuse_existing(out: Path) -> None:

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-import json
 import math
 import re
+from collections import Counter
 from typing import Any
 
 import pandas as pd
 
+from .cells import cell
 from .store import RUN_COLUMNS
+from .values import settings
 
-__all__ = ["RunsFrame", "cell"]
+__all__ = ["RunsFrame"]
 
 
 class RunsFrame:
@@ -31,8 +33,8 @@ class RunsFrame:
         number = len(self._columns["run_id"])
         for name, value in zip(RUN_COLUMNS, row, strict=True):
             if name == "scores":
-                for score, text in json.loads(value).items():
-                    self._scores.setdefault(score, {})[number] = float(text)
+                for score, found in value.items():
+                    self._scores.setdefault(score, {})[number] = found
             elif name in self._TEXT:
                 self._columns[name].append(self._texts.setdefault(value, value))
             elif name in self._NUMBERS:
@@ -43,8 +45,9 @@ class RunsFrame:
     def finished(self) -> pd.DataFrame:
         """The table. Score columns come last, sorted; ``rmse_m`` always exists and comes before the objective."""
         columns, rows = self._columns, range(len(self._columns["run_id"]))
-        settings = {text: json.loads(text) for text in dict.fromkeys(columns["swept"])}
-        swept = dict.fromkeys(key for setting in settings.values() for key in setting)
+        found = {text: settings(text) for text in dict.fromkeys(columns["swept"])}
+        swept = next(iter(found.values()), {})
+        self._check(found)
 
         def score(name: str) -> list[float]:
             found = self._scores.get(name, {})
@@ -52,7 +55,7 @@ class RunsFrame:
 
         table: dict[str, Any] = {"run_id": columns["run_id"], "study": [self._study] * len(rows)}
         table |= {name: columns[name] for name in ("scenario", "formulation", "solver", "repetition")}
-        table |= {f"scenario.{key}": [cell(settings[text].get(key)) for text in columns["swept"]] for key in swept}
+        table |= {f"scenario.{key}": [cell(found[text][key]) for text in columns["swept"]] for key in swept}
         table |= {name: columns[name] for name in ("status", "message")}
         table |= {"rmse_m": score("rmse_m")}
         table |= {name: columns[name] for name in ("objective", "evaluations", "runtime_s", "cpu_s", "instance_seed")}
@@ -60,10 +63,15 @@ class RunsFrame:
         table |= {name: score(name) for name in sorted(self._scores, key=_natural) if name != "rmse_m"}
         return pd.DataFrame(table)
 
-
-def cell(value: Any) -> Any:
-    """A swept value as one cell: numbers and text unchanged, lists and tables as JSON."""
-    return json.dumps(value) if isinstance(value, list | dict) else value
+    def _check(self, found: dict[str, dict[str, Any]]) -> None:
+        """Raise ValueError if rows contradict each other, which no study does."""
+        columns = self._columns
+        if len({tuple(setting) for setting in found.values()}) > 1:
+            raise ValueError(f"table plan: expected the same swept keys in every row, found {list(found)[:2]}")
+        runs = list(zip(columns["swept"], columns["method"], columns["repetition"], strict=True))
+        if len(set(runs)) < len(runs):
+            twice = next(run for run, count in Counter(runs).items() if count > 1)
+            raise ValueError(f"table plan: two runs have the same swept values, method and repetition: {twice}")
 
 
 def _natural(name: str) -> list[tuple[int, str]]:

@@ -7,10 +7,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from nfbench.core import Trace
 
+from .cells import csv_frame
+from .damage import guarded
 from .folder import write_whole
-from .store import ORIGIN_COLUMNS, Store, TracedRun
+from .rows import TracedRun
+from .store import ORIGIN_COLUMNS, Store
 
 if TYPE_CHECKING:  # pandas is slow to import, and counting runs does not need it
     import pandas as pd
@@ -24,7 +29,7 @@ class Results:
 
     folder: the results folder, e.g. ``results/quickstart``.
 
-    Raises StoreError if the folder holds no results.
+    Raises StoreError, with the file and what to do, if the folder holds no results or they are damaged.
     """
 
     folder: Path
@@ -38,10 +43,11 @@ class Results:
         from .frames import RunsFrame
 
         with Store(self.folder) as store:
-            frame = RunsFrame(store.meta.get("name", ""))
+            frame = RunsFrame(store.described()["name"])
             for row in store.runs():
                 frame.add(*row)
-        return frame.finished()
+            with guarded(store.path):
+                return frame.finished()
 
     @property
     def origins(self) -> pd.DataFrame:
@@ -78,7 +84,7 @@ class Results:
     def meta(self) -> dict[str, str]:
         """Name, seed, shard, title, expectation, error measure and outlier threshold [m] of the study, as text."""
         with Store(self.folder) as store:
-            return store.meta
+            return store.described()
 
     @property
     def counts(self) -> dict[str, int]:
@@ -124,10 +130,14 @@ class Results:
         return self._summary(self.runs, by, outlier_m)
 
     def write_tables(self) -> None:
-        """Write ``runs.csv`` and ``summary.csv``; each replaces the old one only when it is complete."""
+        """Write ``runs.csv`` and ``summary.csv``; each replaces the old one only when it is complete.
+
+        Text that other programs would misread is written as ``csv_text`` does.
+        """
         runs = self.runs
-        write_whole(self.folder / "runs.csv", lambda path: runs.to_csv(path, index=False))
-        write_whole(self.folder / "summary.csv", lambda path: self._summary(runs).to_csv(path, index=False))
+        write_whole(self.folder / "runs.csv", lambda path: csv_frame(runs).to_csv(path, index=False))
+        summary = self._summary(runs)
+        write_whole(self.folder / "summary.csv", lambda path: csv_frame(summary).to_csv(path, index=False))
 
     def has_tables(self) -> bool:
         """Whether ``runs.csv`` and ``summary.csv`` exist."""
@@ -140,4 +150,5 @@ class Results:
 
         meta = self.meta
         outlier_m = float(meta["outlier_m"]) if outlier_m is None else outlier_m
-        return summarize(runs, by, error=meta["error"], outlier_m=outlier_m)
+        with np.errstate(all="ignore"):  # scores may be infinite
+            return summarize(runs, by, error=meta["error"], outlier_m=outlier_m)

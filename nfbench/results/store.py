@@ -3,64 +3,35 @@
 from __future__ import annotations
 
 import contextlib
-import io
-import json
-import re
+import hashlib
 import sqlite3
-import time
-import zlib
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, Self
 
-import numpy as np
-from filelock import FileLock
+from nfbench.core import Status, StoreError, Trace, printable
+from nfbench.study import RunRecord, Study
 
-from nfbench.core import StoreError, Trace
-from nfbench.study import RunRecord, RunSpec, Study
+from .damage import Damaged, guarded, patiently, remedy
+from .folder import FolderLock, clean, locked, network_file_system
+from .rows import TracedRun, plan_row, result_row
+from .schema import PLAN_COLUMNS, RESULT_COLUMNS, bring_up_to_date, check_to_read, marks
+from .values import checked_row, inflated, is_positive, settings, unpacked
 
-from .folder import locked
-
-__all__ = ["ORIGIN_COLUMNS", "RUN_COLUMNS", "Store", "TracedRun", "network_file_system"]
+__all__ = ["FILE", "ORIGIN_COLUMNS", "RUN_COLUMNS", "Store"]
 
 FILE = "runs.sqlite"
-SCHEMA = 2
-MOUNTS = Path("/proc/mounts")
-_TABLES = """
-CREATE TABLE IF NOT EXISTS meta (key TEXT PRIMARY KEY, value TEXT NOT NULL) WITHOUT ROWID;
-CREATE TABLE IF NOT EXISTS plan (
-    ordinal INTEGER PRIMARY KEY, run_id TEXT NOT NULL UNIQUE, scenario TEXT, formulation TEXT, solver TEXT,
-    method TEXT, repetition INTEGER, swept TEXT, instance_seed INTEGER, solver_seed INTEGER);
-CREATE TABLE IF NOT EXISTS results (
-    run_id TEXT PRIMARY KEY, status TEXT NOT NULL, message TEXT, objective REAL, evaluations INTEGER, runtime_s REAL,
-    cpu_s REAL, scores TEXT, estimate TEXT, traces BLOB, host TEXT, worker INTEGER, finished REAL) WITHOUT ROWID;
-"""
-_MIGRATIONS = {  # SQL that brings a file from this schema to the next one
-    1: "ALTER TABLE results ADD COLUMN finished REAL;",
-}
 RUN_COLUMNS = (  # from which a row of runs.csv is made
     *("run_id", "scenario", "formulation", "solver", "repetition", "swept", "status", "message", "objective"),
     *("evaluations", "runtime_s", "cpu_s", "instance_seed", "solver_seed", "method", "scores"),
 )
 ORIGIN_COLUMNS = ("run_id", "host", "worker", "finished")
-_PLAN_COLUMNS = 10
-_RESULT_COLUMNS = 13
+READ_WAIT_S = 6.0  # how long a reader waits for a file that another program has locked [s]
+WRITE_WAIT_S = 600.0  # how long a running study waits, because its finished runs would be lost [s]
+_ATTEMPT_S = 1.0  # after which SQLite returns to us, so that Ctrl-C works
+_LARGEST = 2**28  # bytes of a cell
 _PAGE = 256  # runs that are read at once, with their traces
-
-
-@dataclass(frozen=True)
-class TracedRun:
-    """A finished run with one trace for each problem that it minimized; no traces if it minimized none."""
-
-    run_id: str
-    formulation: str
-    solver: str
-    method: str
-    repetition: int
-    status: str
-    swept: dict[str, Any]
-    traces: tuple[Trace, ...]
+_DESCRIBED = ("name", "seed", "title", "expect", "error", "outlier_m")
 
 
 class Store:
@@ -69,15 +40,19 @@ class Store:
     The table ``plan`` holds the runs that the manifest describes now, in order. The table ``results`` holds every
     result ever computed in this folder. Readers see the results of runs in the plan. Any number of processes may open
     the store for reading at any time, and one for writing (``write=True``). Raises StoreError if the file cannot be
-    opened, is damaged, or has another writer.
+    opened, is damaged, or has another writer. Every value that is read is checked, and whatever is wrong with the file
+    is a StoreError with its name and a remedy.
     """
 
     def __init__(self, folder: Path, *, write: bool = False) -> None:
         self.folder, self.path = folder, folder / FILE
-        self._lock: FileLock | None = None
-        if not write and not self.path.is_file():
-            raise StoreError(f"{folder}: expected a results folder with {FILE}, found none")
-        with self._own_errors():
+        self._lock: FolderLock | None = None
+        self._wait_s = WRITE_WAIT_S if write else READ_WAIT_S
+        with guarded(self.path):
+            if not self.path.is_file() and (not write or self.path.exists()):
+                kind = "none" if not self.path.exists() else "a folder" if self.path.is_dir() else "a device or pipe"
+                advice = "" if kind == "none" else f" of that name; move it away, or {folder} aside with --fresh"
+                raise StoreError(f"{folder}: expected a results folder with {FILE}, found {kind}{advice}")
             self._db = self._opened_to_write() if write else self._opened_to_read()
 
     def __enter__(self) -> Self:
@@ -93,100 +68,173 @@ class Store:
 
     # --- reading -------------------------------------------------------------------------------------------------
 
+    def _select(self, sql: str, args: Sequence[Any] = ()) -> Iterator[tuple[Any, ...]]:
+        """Yield the rows of a query, unchecked. Every query of a reader goes through here."""
+        with guarded(self.path):
+            for row in patiently(self._db, self.path, self._wait_s, sql, args):  # noqa: UP028  # closes no cursor
+                yield row
+
+    def _checked(
+        self, table: str, names: Sequence[str], source: str, args: Sequence[Any] = ()
+    ) -> Iterator[tuple[list[Any], tuple[Any, ...]]]:
+        """Yield the rows of a query with these columns, once with checked and decoded values and once as stored."""
+        for row in self._select(f"SELECT {', '.join(names)} {source}", args):
+            with guarded(self.path):
+                values = checked_row(table, names, row)
+            yield values, row
+
     @property
     def meta(self) -> dict[str, str]:
         """Name, seed, shard and further properties of the study, as text by key."""
-        with self._own_errors():
-            return dict(self._db.execute("SELECT key, value FROM meta"))
+        found = dict(self._select("SELECT key, value FROM meta"))
+        with guarded(self.path):
+            if odd := [pair for pair in found.items() if not all(isinstance(part, str) for part in pair)]:
+                raise ValueError(f"table meta: expected text, found {odd[0]!r:.80}")
+        return found
+
+    def described(self) -> dict[str, str]:
+        """``meta`` of a study that has begun. Raises StoreError if something is missing or impossible."""
+        meta = self.meta
+        if missing := [key for key in _DESCRIBED if key not in meta]:
+            raise StoreError(
+                f"{self.path}: the table meta lacks {', '.join(missing)}; `nfbench run STUDY.toml --out {self.folder}` "
+                f"writes it again and keeps all runs"
+            )
+        with guarded(self.path):
+            if not is_positive(meta["outlier_m"]):
+                raise ValueError(f"table meta: expected outlier_m > 0, found {meta['outlier_m']!r:.80}")
+        return meta
 
     def counts(self) -> dict[str, int]:
-        """Number of runs of the plan by status; those without a result count as ``open``."""
+        """Number of runs by status; those without a result count as ``open``, also runs of shards that are missing."""
         query = "SELECT COALESCE(status, 'open'), COUNT(*) FROM plan LEFT JOIN results USING (run_id) GROUP BY 1"
-        with self._own_errors():
-            return dict(self._db.execute(query))
+        found = dict(self._select(query))
+        with guarded(self.path):
+            for status in found:
+                if status != "open":
+                    Status(status)
+        if missing := self._unplanned():
+            found["open"] = found.get("open", 0) + missing
+        return found
+
+    def _unplanned(self) -> int:
+        """Number of runs of the study that the plan lacks, as after merging some of its shards."""
+        meta = self.meta
+        if meta.get("shard"):
+            return 0
+        ((count, last),) = self._select("SELECT COUNT(*), MAX(ordinal) FROM plan")
+        with guarded(self.path):
+            return max(int(meta.get("runs") or 0), (-1 if last is None else last) + 1) - count
 
     def failures(self) -> list[tuple[str, str, int, str]]:
-        """(status, method, number of runs, one of their messages) of the runs that are not ok."""
+        """(status, method, number of runs, one of their messages) of the runs that are not ok, as printable text."""
         query = (
             "SELECT status, method, COUNT(*), MIN(message) FROM plan JOIN results USING (run_id) "
             "WHERE status != 'ok' GROUP BY 1, 2 ORDER BY 3 DESC"
         )
-        with self._own_errors():
-            return list(self._db.execute(query))
+        return [
+            (printable(status), printable(method), count, printable(message))
+            for status, method, count, message in self._select(query)
+        ]
 
     def rate(self, window_s: float = 300.0) -> float:
         """Runs finished per second, over the ``window_s`` seconds before the last finished run; 0 if unknown."""
+        times = "(SELECT finished FROM results WHERE typeof(finished) IN ('real', 'integer'))"
         query = (
-            "SELECT COUNT(*), MAX(finished) - MIN(finished) FROM results WHERE finished > "
-            "(SELECT MAX(finished) FROM results) - ?"
+            f"SELECT COUNT(*), MAX(finished) - MIN(finished) FROM {times} WHERE finished > "
+            f"(SELECT MAX(finished) FROM {times}) - ?"
         )
-        with self._own_errors():
-            count, seconds = self._db.execute(query, [window_s]).fetchone()
+        ((count, seconds),) = self._select(query, [window_s])
         return (count - 1) / seconds if seconds else 0.0
 
     def open_ordinals(self) -> list[int]:
         """Positions in the plan of the runs without a result, in order."""
         query = "SELECT ordinal FROM plan WHERE run_id NOT IN (SELECT run_id FROM results) ORDER BY ordinal"
-        with self._own_errors():
-            return [ordinal for (ordinal,) in self._db.execute(query)]
+        return [ordinal for (ordinal,) in self._select(query)]
 
     def runs(self) -> Iterator[tuple[Any, ...]]:
-        """Yield the columns RUN_COLUMNS of every finished run of the plan, in order."""
-        with self._own_errors():
-            yield from self._db.execute(f"SELECT {', '.join(RUN_COLUMNS)} {_JOINED}")
+        """Yield the columns RUN_COLUMNS of every finished run of the plan, in order; scores as a dict.
+
+        Raises StoreError also if the plan is not what was written.
+        """
+        self._check_plan()
+        for values, _ in self._checked("results", RUN_COLUMNS, _JOINED):
+            yield tuple(values)
+
+    def _check_plan(self) -> None:
+        if self.plan_changed():
+            raise StoreError(
+                f"{self.path}: the table plan has changed since it was written; `nfbench run STUDY.toml --out "
+                f"{self.folder}` writes it again and keeps all results"
+            )
 
     def origins(self) -> list[tuple[Any, ...]]:
         """The columns ORIGIN_COLUMNS of every finished run of the plan, in order."""
-        with self._own_errors():
-            return self._db.execute(f"SELECT {', '.join(ORIGIN_COLUMNS)} {_JOINED}").fetchall()
+        return [tuple(values) for values, _ in self._checked("results", ORIGIN_COLUMNS, _JOINED)]
 
     def traces(self) -> Iterator[tuple[str, tuple[Trace, ...]]]:
         """Yield (run_id, traces) of every finished run of the plan, in order; one trace per minimized problem."""
-        with self._own_errors():
-            for run_id, blob in self._db.execute(f"SELECT run_id, traces {_JOINED}"):
-                yield run_id, _unpacked(blob)
+        for (run_id, blob), _ in self._checked("results", ("run_id", "traces"), _JOINED):
+            yield run_id, self._traces(run_id, blob)
+
+    def _traces(self, run_id: str, blob: bytes) -> tuple[Trace, ...]:
+        with guarded(self.path):
+            try:
+                return unpacked(blob)
+            except Exception as error:
+                raise ValueError(f"table results, row {run_id!r}, column traces: {error}") from error
 
     def traced_runs(self) -> Iterator[TracedRun]:
         """Yield every finished run of the plan with its traces, in order.
 
         Runs are read in pages, so that a slow reader neither fills the memory nor blocks the writer.
         """
-        query = (
-            "SELECT ordinal, run_id, formulation, solver, method, repetition, status, swept, traces "
-            "FROM plan JOIN results USING (run_id) WHERE ordinal > ? ORDER BY ordinal LIMIT ?"
-        )
-        page: list[tuple[Any, ...]] = [(-1,)]
+        names = ("ordinal", "run_id", "formulation", "solver", "method", "repetition", "status", "swept", "traces")
+        source = "FROM plan JOIN results USING (run_id) WHERE ordinal > ? ORDER BY ordinal LIMIT ?"
+        self._check_plan()
+        page: list[list[Any]] = [[-1]]
         while page:
-            with self._own_errors():
-                page = self._db.execute(query, [page[-1][0], _PAGE]).fetchall()
-            for _, run_id, formulation, solver, method, repetition, status, swept, traces in page:
+            page = [values for values, _ in self._checked("results", names, source, [page[-1][0], _PAGE])]
+            for _, run_id, formulation, solver, method, repetition, status, swept, blob in page:
                 about = (run_id, formulation, solver, method, repetition, status)
-                yield TracedRun(*about, json.loads(swept), _unpacked(traces))
+                yield TracedRun(*about, settings(swept), self._traces(run_id, blob))
 
     def swept_keys(self) -> list[str]:
         """The keys that the plan sweeps, in order."""
-        with self._own_errors():
-            settings = self._db.execute("SELECT swept FROM plan GROUP BY swept ORDER BY MIN(ordinal)").fetchall()
-        return list(dict.fromkeys(key for (text,) in settings for key in json.loads(text)))
+        query = "SELECT swept FROM plan GROUP BY swept ORDER BY MIN(ordinal)"
+        with guarded(self.path):
+            return list(dict.fromkeys(key for (text,) in self._select(query) for key in settings(text)))
 
     def estimates(self) -> Iterator[tuple[str, Any]]:
         """Yield (run_id, estimate as nested lists) of every finished run of the plan that has one, in order."""
-        with self._own_errors():
-            for run_id, estimate in self._db.execute(f"SELECT run_id, estimate {_JOINED}"):
-                if (found := json.loads(estimate)) is not None:
-                    yield run_id, found
+        for (run_id, found), _ in self._checked("results", ("run_id", "estimate"), _JOINED):
+            if found is not None:
+                yield run_id, found
+
+    def plan_rows(self) -> Iterator[tuple[Any, ...]]:
+        """Yield the rows of the table ``plan`` as stored."""
+        for _, row in self._checked("plan", PLAN_COLUMNS, "FROM plan ORDER BY ordinal"):
+            yield row
+
+    def result_rows(self) -> Iterator[tuple[Any, ...]]:
+        """Yield the rows of the table ``results`` as stored."""
+        for values, row in self._checked("results", RESULT_COLUMNS, "FROM results"):
+            with guarded(self.path):
+                inflated(values[RESULT_COLUMNS.index("traces")])  # its checksum tells any damage
+            yield row
 
     # --- writing -------------------------------------------------------------------------------------------------
 
     def begin(self, study: Study, shard: tuple[int, int] | None = None) -> bool:
         """Store the plan: all runs of the study, or those of shard k of n. Return whether anything changed.
 
-        Raises StoreError, with the difference, if the folder belongs to another study, seed or shard.
+        A plan that is not what was written, because it was damaged or merged, is written again. Raises StoreError, with
+        the difference, if the folder belongs to another study, seed or shard.
         """
         expected = {"name": study.name, "seed": str(study.seed), "shard": f"{shard[0]}/{shard[1]}" if shard else ""}
         found = self.meta
         differing = [
-            f"expected {key} = {value!r}, found {found[key]!r}"
+            f"expected {key} = {value!r}, found {found[key]!r:.80}"
             for key, value in expected.items()
             if found.get(key, value) != value
         ]
@@ -196,20 +244,41 @@ class Store:
                 f"or move this one aside with --fresh"
             )
         about = {"title": study.title, "expect": study.expect, "error": study.error, "outlier_m": study.outlier_m}
-        known = {key: str(value) for key, value in {**expected, **about, "plan": study.fingerprint}.items()}
-        if known.items() <= found.items():
+        about |= {"plan": study.fingerprint, "runs": len(study)}
+        known = {key: str(value) for key, value in {**expected, **about}.items()}
+        same_plan = found.get("plan") == known["plan"] and found.get("plan_rows") == self._plan_digest()
+        if same_plan and known.items() <= found.items():
             return False
-        with self._writing():
+        with self.writing():
             self._db.executemany("REPLACE INTO meta VALUES (?, ?)", known.items())
-            if found.get("plan") != known["plan"]:
+            if not same_plan:
                 self._db.execute("DELETE FROM plan")
                 rows = (
-                    _plan_row(ordinal, spec)
+                    plan_row(ordinal, spec)
                     for ordinal, spec in enumerate(study.specs())
                     if shard is None or int(spec.run_id, 16) % shard[1] == shard[0] - 1
                 )
-                self._db.executemany(f"INSERT INTO plan VALUES ({_marks(_PLAN_COLUMNS)})", rows)
+                self._db.executemany(f"INSERT INTO plan VALUES ({marks(len(PLAN_COLUMNS))})", rows)
+                self._db.execute("REPLACE INTO meta VALUES ('plan_rows', ?)", [self._plan_digest()])
         return True
+
+    def plan_changed(self) -> bool:
+        """Whether the table ``plan`` is not what was written; False if that is not known, as in a merged folder."""
+        own = not self._db.in_transaction
+        if own:
+            self._db.execute("BEGIN")  # so that both queries see the same state
+        try:
+            return self.meta.get("plan_rows", digest := self._plan_digest()) != digest
+        finally:
+            if own:
+                self._db.rollback()
+
+    def _plan_digest(self) -> str:
+        """A hash of the table ``plan``, by which a change in it is noticed."""
+        found = hashlib.sha256()
+        for row in self._select("SELECT * FROM plan ORDER BY ordinal"):
+            found.update(repr(row).encode("utf-8", "surrogatepass"))
+        return found.hexdigest()[:32]
 
     def tabled(self) -> bool:
         """Whether the tables include all runs that are finished now, according to ``mark_tabled``."""
@@ -217,7 +286,7 @@ class Store:
 
     def mark_tabled(self) -> None:
         """Record that the tables include all runs that are finished now."""
-        with self._writing():
+        with self.writing():
             self._db.execute("REPLACE INTO meta VALUES ('tabled', ?)", [str(self._finished())])
 
     def _finished(self) -> int:
@@ -225,167 +294,75 @@ class Store:
 
     def forget(self, statuses: Iterable[str]) -> None:
         """Delete the results with these statuses, so that their runs are repeated."""
-        with self._writing():
+        with self.writing():
             self._db.executemany("DELETE FROM results WHERE status = ?", [(str(status),) for status in statuses])
 
     def add(self, records: Iterable[RunRecord]) -> None:
         """Write records in one transaction; they are on disk when this returns."""
-        rows = [_result_row(record) for record in records]
-        with self._writing():
-            self._db.executemany(f"REPLACE INTO results VALUES ({_marks(_RESULT_COLUMNS)})", rows)
+        rows = [result_row(record) for record in records]
+        with self.writing():
+            self._db.executemany(f"REPLACE INTO results VALUES ({marks(len(RESULT_COLUMNS))})", rows)
 
-    def take_over(self, other: Store) -> None:
-        """Add the plan and results of another folder of the same study.
-
-        Raises StoreError if they contradict this folder: another study, another plan, or another result of a run.
-        """
-        ours, theirs = self.meta, other.meta
-        for key in ("name", "seed", "plan"):
-            if ours.setdefault(key, theirs.get(key, "")) != theirs.get(key, ""):
-                reason = f"its {key} is {theirs.get(key, '')!r}, but that of the previous folders is {ours[key]!r}"
-                if key == "plan":
-                    reason = "its manifest or a plugin version differs from that of the previous folders"
-                raise StoreError(f"{other.folder} cannot be merged: {reason}")
-        with self._writing():
-            known = [(key, value) for key, value in theirs.items() if key not in ("shard", "tabled")]
-            self._db.executemany("REPLACE INTO meta VALUES (?, ?)", known)
-            self._db.executemany(
-                f"INSERT OR IGNORE INTO plan VALUES ({_marks(_PLAN_COLUMNS)})", other._db.execute("SELECT * FROM plan")
-            )
-            for row in other._db.execute("SELECT * FROM results"):
-                present = self._db.execute("SELECT * FROM results WHERE run_id = ?", row[:1]).fetchone()
-                if present is not None and _computed(present) != _computed(row):
-                    raise StoreError(
-                        f"{other.folder} cannot be merged: its result of run {row[0]} ({row[1]}, objective {row[3]}) "
-                        f"differs from that in the previous folders ({present[1]}, objective {present[3]})"
-                    )
-                if present is None:
-                    self._db.execute(f"INSERT INTO results VALUES ({_marks(_RESULT_COLUMNS)})", row)
+    @contextlib.contextmanager
+    def writing(self) -> Iterator[sqlite3.Connection]:
+        """One transaction on the connection it yields: committed at the end, rolled back on any exception."""
+        try:
+            patiently(self._db, self.path, self._wait_s, "BEGIN IMMEDIATE")
+            try:
+                yield self._db
+                patiently(self._db, self.path, self._wait_s, "COMMIT")
+            except BaseException:
+                self._db.rollback()
+                raise
+        except sqlite3.Error as error:
+            damage = f"; {remedy(self.folder)}" if _is_damage(error) else ""
+            raise StoreError(f"{self.path}: {error}; rows written earlier are kept{damage}") from error
 
     # --- the file ------------------------------------------------------------------------------------------------
 
     def _opened_to_read(self) -> sqlite3.Connection:
-        db = sqlite3.connect(f"{self.path.resolve().as_uri()}?mode=ro", uri=True, timeout=10)
-        schema = _schema(db)
-        if schema is None:
-            raise StoreError(f"{self.path} holds no study yet; if one has just been started, try again")
-        if schema != SCHEMA:
-            raise StoreError(f"{self.path}: expected schema {SCHEMA}, found {schema}; `nfbench run` can update it")
+        db = sqlite3.connect(f"{self.path.resolve().as_uri()}?mode=ro", uri=True, timeout=_ATTEMPT_S)
+        try:
+            _limit(db)
+            patiently(db, self.path, self._wait_s, "SELECT COUNT(*) FROM sqlite_master")
+            check_to_read(db, self.path)
+        except BaseException:
+            db.close()
+            raise
         return db
 
     def _opened_to_write(self) -> sqlite3.Connection:
         self._lock = locked(self.folder)
+        db = None
         try:
-            db = sqlite3.connect(self.path, timeout=10)
-            damage = db.execute("PRAGMA quick_check(1)").fetchone()[0]
+            clean(self.folder)
+            db = sqlite3.connect(self.path, timeout=_ATTEMPT_S)
+            _limit(db)
+            damage = patiently(db, self.path, self._wait_s, "PRAGMA quick_check(1)").fetchone()[0]
             if damage != "ok":
-                raise StoreError(f"{self.path} is damaged ({damage}); --fresh moves the folder aside and starts over")
+                raise Damaged(f"{self.path} is damaged ({printable(damage, 300)}); {remedy(self.folder)}")
             # WAL needs shared memory, which a network file system does not provide
-            db.execute(f"PRAGMA journal_mode = {'DELETE' if network_file_system(self.folder) else 'WAL'}")
+            mode = "DELETE" if network_file_system(self.folder) else "WAL"
+            patiently(db, self.path, self._wait_s, f"PRAGMA journal_mode = {mode}")
             db.execute("PRAGMA synchronous = FULL")
-            self._bring_up_to_date(db)
+            bring_up_to_date(db, self.path, self._wait_s)
         except BaseException:
+            if db is not None:
+                db.close()
             self._lock.release()
             raise
         return db
-
-    def _bring_up_to_date(self, db: sqlite3.Connection) -> None:
-        schema = _schema(db)
-        if schema is not None and not 1 <= schema <= SCHEMA:
-            raise StoreError(f"{self.path}: expected schema 1 to {SCHEMA}, found {schema}; a newer nfbench wrote it")
-        for step in range(schema or SCHEMA, SCHEMA):
-            db.executescript(_MIGRATIONS[step])
-        db.executescript(_TABLES)
-        with db:
-            db.execute("REPLACE INTO meta VALUES ('schema', ?)", [str(SCHEMA)])
-
-    @contextlib.contextmanager
-    def _own_errors(self) -> Iterator[None]:
-        """Turn SQLite's errors into a StoreError that names the file."""
-        try:
-            yield
-        except sqlite3.Error as error:
-            raise StoreError(f"{self.path}: {error}") from error
-
-    @contextlib.contextmanager
-    def _writing(self) -> Iterator[None]:
-        """One transaction: committed at the end, rolled back on any exception."""
-        try:
-            with self._db:
-                yield
-        except sqlite3.Error as error:
-            raise StoreError(f"{self.path}: {error}; rows written earlier are kept") from error
 
 
 _JOINED = "FROM plan JOIN results USING (run_id) ORDER BY ordinal"
 
 
-def network_file_system(folder: Path) -> str | None:
-    """The type of the network file system that holds ``folder``; None if it is local or unknown."""
-    try:
-        mounts = [line.split()[1:3] for line in MOUNTS.read_text(encoding="utf-8").splitlines()]
-    except OSError:
-        return None
-    path = folder.resolve()
-    holding = [(len(point), kind) for point, kind in mounts if path.is_relative_to(point.replace("\\040", " "))]
-    kind = max(holding, default=(0, ""))[1]
-    return kind if re.match(r"nfs|cifs|smb|9p|afs|lustre|gpfs|beegfs|ceph|glusterfs|fuse\.", kind) else None
+def _limit(db: sqlite3.Connection) -> None:
+    """Let a file from elsewhere neither run code nor fill the memory."""
+    db.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, _LARGEST)
+    db.execute("PRAGMA trusted_schema = OFF")
+    db.execute("PRAGMA cell_size_check = ON")
 
 
-def _schema(db: sqlite3.Connection) -> int | None:
-    """The schema number of a file; None if it has no tables."""
-    if not db.execute("SELECT COUNT(*) FROM sqlite_master").fetchone()[0]:
-        return None
-    found = db.execute("SELECT value FROM meta WHERE key = 'schema'").fetchone()
-    return int(found[0]) if found else None
-
-
-def _marks(count: int) -> str:
-    return ", ".join("?" * count)
-
-
-def _plan_row(ordinal: int, spec: RunSpec) -> tuple[Any, ...]:
-    method = spec.method
-    return (
-        ordinal, spec.run_id, spec.point.scenario.label, method.formulation.label,
-        method.solver.label if method.solver else "", method.label, spec.repetition, json.dumps(spec.point.swept),
-        spec.instance_seed, spec.solver_seed,
-    )  # fmt: skip
-
-
-def _result_row(record: RunRecord) -> tuple[Any, ...]:
-    scores = {name: repr(score) for name, score in record.scores.items()}  # as text, because JSON has no inf
-    return (
-        record.run_id, str(record.status), record.message, record.objective, record.evaluations, record.runtime_s,
-        record.cpu_s, json.dumps(scores), json.dumps(record.estimate), _packed(record.traces), record.host,
-        record.worker, time.time(),
-    )  # fmt: skip
-
-
-def _computed(row: tuple[Any, ...]) -> tuple[Any, ...]:
-    """What must be equal in two executions of one run: status, objective, evaluations, scores, estimate."""
-    return (row[1], row[3], row[4], row[7], row[8])
-
-
-def _packed(traces: tuple[Trace, ...]) -> bytes:
-    """The traces as one compressed block of bytes."""
-    if not traces:
-        return b""
-    buffer = io.BytesIO()
-    arrays = {
-        f"{name}{i}": getattr(trace, name)
-        for i, trace in enumerate(traces)
-        for name in ("evaluations", "seconds", "values", "points")
-    }
-    np.savez(buffer, **arrays)
-    return zlib.compress(buffer.getvalue(), 1)
-
-
-def _unpacked(blob: bytes) -> tuple[Trace, ...]:
-    if not blob:
-        return ()
-    with np.load(io.BytesIO(zlib.decompress(blob))) as arrays:
-        return tuple(
-            Trace(*(arrays[f"{name}{i}"] for name in ("evaluations", "seconds", "values", "points")))
-            for i in range(len(arrays.files) // 4)
-        )
+def _is_damage(error: sqlite3.Error) -> bool:
+    return getattr(error, "sqlite_errorcode", 0) & 0xFF in (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB)

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import tomllib
+import stat
 from collections.abc import Iterable
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,10 +13,12 @@ from nfbench.plugins import Registry
 
 from .methods import budget_limits, study_methods
 from .plan import Study
-from .records import PluginSpec
+from .plausibility import plugin_warnings
+from .reading import read_manifest as _read
+from .records import Method, PluginSpec
 from .resolve import ErrorCollector, Resolver
 from .schema import Manifest, Summary, Table
-from .sweep import sweep_points
+from .sweep import AT_FIRST, Sweep, sweep_points
 
 __all__ = ["load_scenarios", "load_study"]
 
@@ -39,19 +41,24 @@ def load_study(path: str | Path, plugins: Iterable[str | Path] = ()) -> Study:
 def load_scenarios(path: str | Path, plugins: Iterable[str | Path] = ()) -> list[tuple[dict[str, Any], Scenario]]:
     """Return the swept values and the scenario of each point of a study; the rest of the manifest is ignored.
 
-    Plugin files that the manifest names but that do not exist are ignored, because the manifest may be a copy in
-    another folder. Raises ManifestError if a scenario is invalid, and PluginError if its plugin cannot be imported.
+    Reading a study must not execute code that comes with it: the plugin files that the manifest names are not imported,
+    only ``plugins``, which the user gives. Raises ManifestError if a scenario is invalid or needs a plugin file that is
+    not given, and PluginError if its plugin cannot be imported.
     """
     path = Path(path)
     table, _ = _read(path)
     errors = ErrorCollector()
     with relative_to(path.parent):
         manifest = _top_level(table, errors)
-        named = [path.parent / file for file in manifest.plugins]
-        resolver = Resolver(_registry([*filter(Path.exists, named), *plugins], errors), errors)
+        resolver = Resolver(_registry(plugins, errors), errors)
         points, _ = sweep_points(manifest, resolver)
         if errors.texts:
-            raise ManifestError(str(path), errors.texts)
+            hint = (
+                "the plugin files that it names are not imported on reading; pass those that you trust with --plugin: "
+            )
+            raise ManifestError(
+                str(path), [*errors.texts, *([hint + ", ".join(manifest.plugins)] * bool(manifest.plugins))]
+            )
         return [(point.swept, _scenario(point.scenario, resolver.registry)) for point in points]
 
 
@@ -61,36 +68,40 @@ def _scenario(spec: PluginSpec, registry: Registry) -> Scenario:
     return registry.make("scenario", spec.kind, spec.options)
 
 
-def _read(path: Path) -> tuple[Table, str]:
-    """Return the tables of a manifest and its text."""
-    try:
-        text = path.read_text(encoding="utf-8")
-        return tomllib.loads(text), text
-    except (OSError, UnicodeDecodeError) as error:
-        raise ManifestError(str(path), [f"cannot be read: {getattr(error, 'strerror', None) or error}"]) from error
-    except tomllib.TOMLDecodeError as error:
-        raise ManifestError(str(path), [f"is not valid TOML: {error}"]) from error
-
-
 def _study(
     table: Table, text: str, folder: Path, extra: tuple[str | Path, ...], errors: ErrorCollector
 ) -> Study | None:
     manifest = _top_level(table, errors)
     registry = _registry([*(folder / file for file in manifest.plugins), *extra], errors)
     resolver = Resolver(registry, errors)
-    points, scenario = sweep_points(manifest, resolver)
+    sweep = Sweep(manifest, resolver)
+    sweep.build(AT_FIRST)
     budget_limits(manifest, {}, "budget", errors)
-    methods = study_methods(manifest, resolver, scenario)
+    methods = study_methods(manifest, resolver, sweep.scenario)
     summary = _summary(manifest.summary, errors)
-    if errors.texts or scenario is None:
+    if not errors.texts:  # a message about the other tables must not wait for thousands of points
+        sweep.build()
+    if errors.texts or sweep.scenario is None:
         return None
-    return Study(
+    try:
+        return _planned(manifest, text, sweep, methods, summary, resolver)
+    except OptionError as error:
+        errors.add_all("", error)
+        return None
+
+
+def _planned(
+    manifest: Manifest, text: str, sweep: Sweep, methods: list[Method], summary: Summary, resolver: Resolver
+) -> Study:
+    registry, scenario = resolver.registry, sweep.scenario
+    assert scenario is not None
+    study = Study(
         name=manifest.name,
         title=manifest.title,
         expect=manifest.expect,
         seed=manifest.seed,
         repetitions=manifest.repetitions,
-        points=tuple(points),
+        points=tuple(sweep.points),
         methods=tuple(methods),
         error=scenario.error,
         outlier_m=summary.outlier_m,
@@ -101,6 +112,7 @@ def _study(
             *resolver.warnings,
         ),
     )
+    return replace(study, warnings=(*study.warnings, *plugin_warnings(sweep, methods, resolver)))
 
 
 def _top_level(table: Table, errors: ErrorCollector) -> Manifest:
@@ -120,11 +132,29 @@ def _top_level(table: Table, errors: ErrorCollector) -> Manifest:
 
 
 def _registry(files: Iterable[str | Path], errors: ErrorCollector) -> Registry:
+    """Load the plugins. Files that would block reading, such as pipes and devices, are reported and left out."""
+    regular = []
+    for file in map(Path, files):
+        if problem := _not_regular(file):
+            errors.add("plugins", f"plugin file {file!s:.200}: {problem}")
+        else:
+            regular.append(file)
     try:
-        return Registry(files)
+        return Registry(regular)
     except PluginError as error:
         errors.add("plugins", str(error))
         return Registry()
+
+
+def _not_regular(file: Path) -> str | None:
+    """Return why a path cannot be a plugin file; None if it can, or if it does not exist."""
+    try:
+        mode = file.stat().st_mode
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError) as error:
+        return f"cannot be read: {getattr(error, 'strerror', None) or error}"
+    return None if stat.S_ISREG(mode) else "expected a regular file, got a folder, pipe or device"
 
 
 def _summary(table: Table, errors: ErrorCollector) -> Summary:

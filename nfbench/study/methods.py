@@ -8,12 +8,15 @@ from typing import Any
 
 from nfbench.core import Formulation, OptionError, Scenario, Solver, build
 
+from .labels import label_problem
 from .plan import digest
 from .records import Method
 from .resolve import ErrorCollector, Resolved, Resolver
 from .schema import Limits, Manifest, MethodTable, Table
 
 __all__ = ["study_methods"]
+
+MAX_METHODS = 10_000
 
 
 def study_methods(manifest: Manifest, resolver: Resolver, scenario: Scenario | None) -> list[Method]:
@@ -22,12 +25,13 @@ def study_methods(manifest: Manifest, resolver: Resolver, scenario: Scenario | N
     pairs = _product(manifest, resolver)
     for i, table in enumerate(manifest.method):
         pairs += _named_pairs(f"method[{i}]", table, manifest, resolver)
-    if not manifest.formulation and not manifest.method:
+    if not manifest.formulation and not manifest.method and not errors.has("formulation", "method"):
         errors.add("formulation", "expected at least one [[formulation]] or [[method]], got none")
-    elif manifest.solver and not manifest.formulation:
+    elif manifest.solver and not manifest.formulation and not errors.has("formulation"):
         errors.add("solver", "expected at least one [[formulation]] to combine each [[solver]] with, got none")
+    needs_budget = not any("budget" in text.partition(":")[0] for text in errors.texts)
     for pair in pairs:
-        pair.check(scenario, errors)
+        pair.check(scenario, errors, needs_budget)
     return _labelled(pairs, resolver)
 
 
@@ -41,14 +45,13 @@ class _Pair:
     limits: Limits
     label: str | None = None
 
-    def check(self, scenario: Scenario | None, errors: ErrorCollector) -> None:
+    def check(self, scenario: Scenario | None, errors: ErrorCollector, needs_budget: bool) -> None:
         """Record an error if the formulation does not accept the scenario's instances or a solver has no budget."""
         formulation = self.formulation.made
         if scenario and formulation and not issubclass(scenario.instance, formulation.accepts):
             text = f"{self.formulation.spec.kind} solves {formulation.accepts.__name__}, but the scenario draws "
             errors.add(f"{self.path}.kind", f"{text}{scenario.instance.__name__}")
-        reported = any("budget" in text.partition(":")[0] for text in errors.texts)
-        if self.solver and self.limits.budget() is None and not reported:
+        if self.solver and needs_budget and self.limits.budget() is None:
             errors.add("budget", "is required: give evaluations or seconds")
 
 
@@ -65,12 +68,17 @@ def _product(manifest: Manifest, resolver: Resolver) -> list[_Pair]:
     ]
     _refuse_duplicates(formulations, errors)
     solvers = _solvers(manifest, resolver)
+    count = len(manifest.formulation) * len(solvers)
+    if count > MAX_METHODS:
+        text = f"{len(manifest.formulation):,} [[formulation]] × {len(solvers):,} solvers = {count:,} methods"
+        errors.add("formulation", f"expected at most {MAX_METHODS:,} methods, got {text}")
+        return []
     pairs: list[_Pair] = []
     for (path, formulation), own_limits in zip(formulations, limits, strict=True):
         if formulation is None:
             continue
         if _needs_solver(formulation):
-            if not manifest.solver:
+            if not manifest.solver and not errors.has("solver"):
                 errors.add(path, f"{formulation.spec.kind} needs a solver; add a [[solver]]")
             pairs += [_Pair(path, formulation, solver, own_limits) for solver in solvers]
         else:
@@ -104,6 +112,8 @@ def _named_pairs(path: str, table: Table, manifest: Manifest, resolver: Resolver
     except OptionError as error:
         errors.add_all(path, error)
         return []
+    if method.label is not None and (problem := label_problem(method.label)):
+        errors.add(f"{path}.label", problem)
     limits = budget_limits(manifest, method.budget, f"{path}.budget", errors)
     formulation = resolver.resolve("formulation", _as_table(method.formulation), f"{path}.formulation")
     solvers: list[Resolved[Solver] | None] = [None]

@@ -9,14 +9,18 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
+from nfbench.core import OptionError
+
 from .records import Method, Point, RunSpec
 
-__all__ = ["Study", "digest", "seed_from"]
+__all__ = ["MAX_RUNS", "Study", "digest", "seed_from"]
+
+MAX_RUNS = 10**9  # a plan of 300 GB; what is larger must be split into several studies
 
 
 @dataclass(frozen=True)
 class Study:
-    """A validated manifest.
+    """A validated manifest. Raises OptionError if it has more than 10^9 runs.
 
     name: name of the study and of its results folder.
     title: title shown in tables, reports and figures.
@@ -44,6 +48,14 @@ class Study:
     plugins: tuple[str, ...] = ()
     manifest: str = field(default="", repr=False)
     warnings: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        points, methods = len(self.points), len(self.methods)
+        runs = self.repetitions * points * methods
+        if runs > MAX_RUNS:
+            text = f"{self.repetitions:,} repetitions × {points:,} points × {methods:,} methods = {runs:,}"
+            problem = f"expected at most {MAX_RUNS:,} runs, got {text}; split the study into several"
+            raise OptionError(type(self).__name__, [("repetitions", problem)])
 
     def __len__(self) -> int:
         return self.repetitions * len(self.points) * len(self.methods)

@@ -9,10 +9,13 @@ from typing import Any, Generic, Literal, TypeVar, overload
 from nfbench.core import Formulation, MissingExtra, OptionError, Options, PluginError, Scenario, Solver, canonical
 from nfbench.plugins import Registry, members, versions
 
+from .labels import label_problem, safe_label
 from .plan import digest
 from .records import PluginSpec
 
 __all__ = ["ErrorCollector", "Resolved", "Resolver"]
+
+LONGEST = 2000  # characters of one error
 
 T_co = TypeVar("T_co", bound=Options, covariant=True)
 
@@ -22,6 +25,7 @@ class ErrorCollector:
 
     def __init__(self) -> None:
         self.texts: list[str] = []
+        self._known: set[str] = set()
 
     def add(self, path: str, text: str) -> None:
         """Record one error at ``path``."""
@@ -29,8 +33,14 @@ class ErrorCollector:
 
     def add_line(self, line: str) -> None:
         """Record an error that already has the form ``path: message``."""
-        if line not in self.texts:
+        line = line[:LONGEST]
+        if line not in self._known:
+            self._known.add(line)
             self.texts.append(line)
+
+    def has(self, *paths: str) -> bool:
+        """Whether there is an error at or below one of these top-level paths."""
+        return any(text.startswith(tuple(f"{path}{mark}" for path in paths for mark in ":.[")) for text in self.texts)
 
     def add_all(self, path: str, error: OptionError) -> None:
         """Record every problem of an OptionError, with its path below ``path``."""
@@ -63,6 +73,8 @@ class Resolver:
         self.errors = errors
         self.warnings: list[str] = []
         self._pool: dict[str, dict[str, PluginSpec]] = {"scenario": {}, "formulation": {}, "solver": {}}
+        self._final: dict[str, dict[str, str]] = {}
+        self._made: dict[str, Options] = {}
 
     @overload
     def resolve(
@@ -110,7 +122,14 @@ class Resolver:
             return self._unavailable(kind, name, label, options, plugin.version, str(error))
         all_options, chosen = _without_kind(canonical(made)), _without_kind(canonical(made, defaults=False))
         version = "+".join(dict.fromkeys([plugin.version, *versions(made)]))
-        return Resolved(self._keep(kind, PluginSpec(name, label, all_options, chosen, version)), made)
+        spec = self._keep(kind, PluginSpec(name, label, all_options, chosen, version))
+        if kind != "scenario":  # of which there may be thousands
+            self._made[digest([kind, spec.identity])] = made
+        return Resolved(spec, made)
+
+    def made(self, kind: Literal["formulation", "solver"], spec: PluginSpec) -> Options | None:
+        """Return the plugin object of a specification that ``resolve`` returned; None if it cannot be imported."""
+        return self._made.get(digest([kind, spec.identity]))
 
     def resolve_group(self, table: Mapping[str, Any], path: str) -> list[Resolved[Solver]]:
         """Resolve a table ``{group = …, exclude = […], include = […]}`` to solvers.
@@ -130,16 +149,46 @@ class Resolver:
         return list({solver.identity: solver for solver in solvers if solver}.values())
 
     def labelled(self, kind: str, spec: PluginSpec) -> PluginSpec:
-        """Return the specification with its final label.
+        """Return the specification with its final label. All tables of this kind must have been resolved before.
 
         The label is the one given in the manifest, or else the kind, with the options that distinguish it if needed.
         """
-        pool = self._pool[kind].values()
-        label = self._pool[kind][digest(spec.identity)].label or self._distinct(spec, kind)
-        same_label = [other for other in pool if other.label == label and other.identity != spec.identity]
-        if same_label:
-            self.errors.add(kind, f"two {kind}s are labelled {label!r}; give each its own label")
-        return replace(spec, label=label)
+        if kind not in self._final:
+            self._final[kind] = self._final_labels(kind)
+        return replace(spec, label=self._final[kind][digest(spec.identity)])
+
+    def _final_labels(self, kind: str) -> dict[str, str]:
+        """Return the label of every specification of this kind, by the digest of its identity."""
+        pool = self._pool[kind]
+        varying = self._varying(kind)
+        labels: dict[str, str] = {}
+        taken: set[str] = set()
+        for key, spec in pool.items():
+            shown = ", ".join(
+                f"{name}={_plain(value)}" for name, value in spec.options.items() if name in varying.get(spec.kind, ())
+            )
+            label = spec.label or safe_label(f"{spec.kind}({shown})" if shown else spec.kind, kind)
+            if label in taken:
+                self.errors.add(kind, f"two {kind}s are labelled {label!r}; give each its own label")
+            taken.add(label)
+            labels[key] = label
+        return labels
+
+    def _varying(self, kind: str) -> dict[str, set[str]]:
+        """Return, by plugin, the options in which those without a label differ."""
+        groups: dict[str, list[PluginSpec]] = {}
+        for spec in self._pool[kind].values():
+            if not spec.label:
+                groups.setdefault(spec.kind, []).append(spec)
+        return {
+            name: {
+                key
+                for spec in specs
+                for key in {**specs[0].options, **spec.options}
+                if spec.options.get(key) != specs[0].options.get(key)
+            }
+            for name, specs in groups.items()
+        }
 
     def _name_and_label(
         self, kind: str, table: Mapping[str, Any], path: str, errors: ErrorCollector
@@ -148,12 +197,15 @@ class Resolver:
         if not isinstance(label, str) or ("label" in table and not label):
             errors.add(f"{path}.label", f"expected a non-empty string, got {table['label']!r}")
             return None
+        if label and (problem := label_problem(label)):
+            errors.add(f"{path}.label", problem)
+            return None
         if not isinstance(name, str):
             known = ", ".join(self.registry.names(kind))
             problem = f"expected a string, got {name!r}" if "kind" in table else "is required"
             errors.add(f"{path}.kind", f"{problem}; known: {known}")
             return None
-        return name, label or (name if kind == "scenario" else "")
+        return name, label or (safe_label(name, kind) if kind == "scenario" else "")
 
     def _unavailable(
         self, kind: str, name: str, label: str, options: Mapping[str, Any], version: str, reason: str
@@ -172,17 +224,6 @@ class Resolver:
                 kind, f"expected one label for the same {spec.kind}, got {known.label!r} and {spec.label!r}"
             )
         return spec
-
-    def _distinct(self, spec: PluginSpec, kind: str) -> str:
-        """Return ``de``, or ``de(population=120)`` if another ``de`` without a label has a different population."""
-        others = [o for o in self._pool[kind].values() if o.kind == spec.kind and o.identity != spec.identity]
-        differing = [
-            key
-            for key, value in spec.options.items()
-            if any(other.options.get(key) != value for other in others if not other.label)
-        ]
-        shown = ", ".join(f"{key}={_plain(spec.options[key])}" for key in differing)
-        return f"{spec.kind}({shown})" if shown else spec.kind
 
 
 def _without_kind(table: dict[str, Any]) -> dict[str, Any]:

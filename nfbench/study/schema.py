@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import Annotated, Any, TypeAlias
 
 from pydantic import StringConstraints
 
-from nfbench.core import Budget, Ge, Gt, Options, canonical
+from nfbench.core import Budget, Ge, Gt, Le, Lt, OptionError, Options, canonical
+
+from .labels import label_problem
 
 __all__ = ["Limits", "Manifest", "MethodTable", "Summary", "Table"]
 
 Table: TypeAlias = dict[str, Any]
+
+LONGEST_S = 1e9  # run_timeout_s beyond this means no limit
+LARGEST_MB = 2**30  # so does run_memory_mb beyond this [MiB], a pebibyte
+MAX_TABLES = 1000  # of [[formulation]], of [[solver]] and of [[method]]
 
 
 @dataclass(frozen=True)
@@ -19,6 +26,7 @@ class Manifest(Options):
     """The top level of a manifest. The classes that the tables describe check the contents of the tables.
 
     name: name of the study and of its results folder: letters, digits, hyphens and underscores, at most 64 characters.
+    It must not be what a spreadsheet or pandas takes for a number, a date or a missing value.
     scenario: ``[scenario]`` table: the ``kind`` of a scenario and its options.
     repetitions: number of repetitions of each method at each point of the sweep; each repetition has its own instance.
     seed: seed from which the seeds of all instances and solvers are derived.
@@ -37,7 +45,7 @@ class Manifest(Options):
     name: Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$")]
     scenario: Table
     repetitions: Annotated[int, Ge(1)]
-    seed: Annotated[int, Ge(0)]
+    seed: Annotated[int, Ge(0), Lt(2**63)]
     title: str = ""
     expect: str = ""
     plugins: tuple[str, ...] = ()
@@ -48,6 +56,18 @@ class Manifest(Options):
     budget: Table = field(default_factory=dict)
     summary: Table = field(default_factory=dict)
 
+    def validate(self) -> None:
+        tables = {"formulation": self.formulation, "solver": self.solver, "method": self.method}
+        problems = [
+            (key, f"expected at most {MAX_TABLES:,} [[{key}]] tables, got {len(entries):,}")
+            for key, entries in tables.items()
+            if len(entries) > MAX_TABLES
+        ]
+        if problem := label_problem(self.name):
+            problems.append(("name", problem))
+        if problems:
+            raise OptionError(type(self).__name__, problems)
+
 
 @dataclass(frozen=True)
 class Limits(Options):
@@ -56,17 +76,21 @@ class Limits(Options):
     evaluations: maximum number of evaluations of the objective per problem; None for no limit.
     seconds: maximum wall-clock time per problem [s]; None for no limit.
     target: objective value, in the problem's unit, at or below which the solver is stopped; None for no target.
-    run_timeout_s: time after which a run is killed [s]; None for no limit.
-    run_memory_mb: memory that a run may allocate [MiB]; None for no limit.
+    run_timeout_s: time after which a run is killed [s]; None, or more than 10^9, for no limit.
+    run_memory_mb: memory that a run may allocate [MiB]; None, or more than 2^30, for no limit.
     """
 
-    evaluations: Annotated[int, Ge(1)] | None = None
-    seconds: Annotated[float, Gt(0.0)] | None = None
-    target: float | None = None
+    evaluations: Annotated[int, Ge(1), Le(10**15)] | None = None
+    seconds: Annotated[float, Gt(0.0), Le(1e9)] | None = None
+    target: Annotated[float, Gt(-math.inf), Lt(math.inf)] | None = None
     run_timeout_s: Annotated[float, Gt(0.0)] | None = None
     run_memory_mb: Annotated[int, Ge(1)] | None = None
 
     def validate(self) -> None:
+        if self.run_timeout_s is not None and self.run_timeout_s > LONGEST_S:
+            object.__setattr__(self, "run_timeout_s", None)
+        if self.run_memory_mb is not None and self.run_memory_mb > LARGEST_MB:
+            object.__setattr__(self, "run_memory_mb", None)
         self.budget()
 
     def budget(self) -> Table | None:
@@ -84,7 +108,7 @@ class Summary(Options):
     outlier_m: position error above which the estimate of a source counts as an outlier [m].
     """
 
-    outlier_m: Annotated[float, Gt(0.0)] = 1.0
+    outlier_m: Annotated[float, Gt(0.0), Lt(math.inf)] = 1.0
 
 
 @dataclass(frozen=True)

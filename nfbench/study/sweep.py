@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import copy
 import itertools
-from collections.abc import Mapping
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
 from nfbench.core import Scenario
@@ -13,46 +15,130 @@ from .records import Point
 from .resolve import ErrorCollector, Resolver
 from .schema import Manifest, Table
 
-__all__ = ["sweep_points"]
+__all__ = ["AT_FIRST", "Sweep", "sweep_points"]
+
+MAX_KEYS = 100
+MAX_POINTS = 10_000
+MAX_COPIED = 5_000_000  # values of the scenario's table, times the number of points
+AT_FIRST = 200  # points that are built before the other tables are checked
+ENOUGH = 100  # errors after which no further point is built
 
 
 def sweep_points(manifest: Manifest, resolver: Resolver) -> tuple[list[Point], Scenario | None]:
     """Return a point for every combination of the swept values, and one scenario to check formulations against."""
-    errors = resolver.errors
-    swept = _swept(manifest.sweep, errors)
-    if not manifest.scenario:
-        if not any(text.startswith("scenario") for text in errors.texts):
-            errors.add("scenario.kind", f"is required; known: {', '.join(resolver.registry.names('scenario'))}")
-        return [], None
-    points: list[Point] = []
-    scenario: Scenario | None = None
-    seen: dict[str, str] = {}
-    for indexed in itertools.product(*(list(enumerate(values)) for values in swept.values())):
-        setting = {key: value for key, (_, value) in zip(swept, indexed, strict=True)}
-        paths = {f"scenario.{key}": f"sweep.{key}[{i}]" for key, (i, _) in zip(swept, indexed, strict=True)}
-        point_errors = ErrorCollector()
-        resolved = resolver.resolve("scenario", _with(manifest.scenario, setting), "scenario", point_errors)
+    sweep = Sweep(manifest, resolver)
+    sweep.build()
+    return sweep.points, sweep.scenario
+
+
+@dataclass
+class Sweep:
+    """The points of a manifest, which are built in the order of the sweep.
+
+    points: points that have been built.
+    scenarios: scenarios of these points; None where the plugin cannot be imported.
+    """
+
+    manifest: Manifest
+    resolver: Resolver
+    points: list[Point] = field(default_factory=list)
+    scenarios: list[Scenario | None] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        errors = self.resolver.errors
+        self._seen: dict[str, str] = {}
+        self._swept = _swept(self.manifest.sweep, errors)
+        self._count = math.prod(map(len, self._swept.values()))
+        self._left = self._settings() if self._may_be_built() else iter(())
+        self._done = 0
+
+    @property
+    def scenario(self) -> Scenario | None:
+        """One scenario to check formulations against; None if there is none."""
+        return self.scenarios[-1] if self.scenarios else None
+
+    def build(self, at_most: int | None = None) -> None:
+        """Build the next points: as many as this, or all that are left. Errors are recorded."""
+        errors, before = self.resolver.errors, len(self.resolver.errors.texts)
+        for setting, paths in itertools.islice(self._left, at_most):
+            self._build(setting, paths)
+            self._done += 1
+            if len(errors.texts) - before >= ENOUGH and self._done < self._count:
+                errors.add("sweep", f"the other {self._count - self._done:,} of {self._count:,} points are not checked")
+                self._left = iter(())
+                break
+        if self.points and self.scenario is None and not errors.texts:
+            errors.add("scenario", self.points[0].scenario.broken or "cannot be constructed")
+
+    def _may_be_built(self) -> bool:
+        """Whether the scenario is given and there are not too many points; if not, record the error."""
+        errors, table = self.resolver.errors, self.manifest.scenario
+        if not table:
+            if not errors.has("scenario"):
+                known = ", ".join(self.resolver.registry.names("scenario"))
+                errors.add("scenario.kind", f"is required; known: {known}")
+            return False
+        if len(self._swept) > MAX_KEYS:
+            errors.add("sweep", f"expected at most {MAX_KEYS} keys, got {len(self._swept):,}")
+            return False
+        if self._count > MAX_POINTS:
+            sizes = [f"{len(values):,}" for values in self._swept.values()]
+            product = f"{' × '.join(sizes[:8])}{' × …' if sizes[8:] else ''} = " if sizes[1:] else ""
+            errors.add("sweep", f"expected at most {MAX_POINTS:,} points, got {product}{_number(self._count)}")
+            return False
+        if self._count * _size(table) > MAX_COPIED:
+            text = f"{self._count:,} points × {_size(table):,} values in [scenario]"
+            errors.add("sweep", f"expected at most {MAX_COPIED:,} values in all points, got {text}")
+            return False
+        return True
+
+    def _settings(self) -> Iterator[tuple[Table, dict[str, str]]]:
+        """Yield, for each point, the swept values by key, and where in the sweep each of them is by its path."""
+        swept = self._swept
+        for indexed in itertools.product(*(list(enumerate(values)) for values in swept.values())):
+            values = {key: value for key, (_, value) in zip(swept, indexed, strict=True)}
+            yield values, {f"scenario.{key}": f"sweep.{key}[{i}]" for key, (i, _) in zip(swept, indexed, strict=True)}
+
+    def _build(self, setting: Table, paths: dict[str, str]) -> None:
+        errors, point_errors = self.resolver.errors, ErrorCollector()
+        table = _with(self.manifest.scenario, setting)
+        resolved = self.resolver.resolve("scenario", table, "scenario", point_errors)
         for text in point_errors.texts:
-            errors.add_line(_renamed(text, paths))
+            errors.add_line(_renamed(text, paths, self.manifest.scenario))
         if resolved is None:
-            continue
-        spec, scenario = resolved.spec, resolved.made
+            return
         origin = ", ".join(paths.values())
-        first = seen.setdefault(resolved.identity, origin)
+        first = self._seen.setdefault(resolved.identity, origin)
         if first != origin:
             errors.add(origin, f"gives the same scenario as {first}")
-        points.append(Point(spec, {key: _at(spec.options, key, setting[key]) for key in swept}))
-    if scenario is None and not errors.texts:
-        errors.add("scenario", points[0].scenario.broken or "cannot be constructed")
-    return points, scenario
+        spec = resolved.spec
+        self.scenarios.append(resolved.made)
+        self.points.append(Point(spec, {key: _at(spec.options, key, setting[key]) for key in self._swept}))
 
 
-def _renamed(text: str, paths: Mapping[str, str]) -> str:
-    """Replace the path of an error in a swept key of the scenario by the path of its value in the sweep."""
+def _renamed(text: str, paths: Mapping[str, str], given: Table) -> str:
+    """Replace the path of an error in a swept key of the scenario by the path of its value in the sweep.
+
+    So is the path of a table that only the sweep names, e.g. of ``antenna`` in ``antenna.elements``.
+    """
     for path, swept_path in paths.items():
         if text.startswith(path) and text[len(path)] in ":.[":
             return swept_path + text[len(path) :]
+    for path, swept_path in paths.items():
+        _, *keys = path.split(".")
+        for depth in range(1, len(keys)):
+            outer = ".".join(keys[:depth])
+            if text.startswith((f"scenario.{outer}:", f"scenario.{outer}.")) and not _has(given, keys[:depth]):
+                return f"{swept_path}: {text.removeprefix('scenario.')}"
     return text
+
+
+def _has(table: Any, keys: list[str]) -> bool:
+    for key in keys:
+        if not isinstance(table, dict) or key not in table:
+            return False
+        table = table[key]
+    return True
 
 
 def _swept(sweep: Table, errors: ErrorCollector, prefix: str = "") -> dict[str, list[Any]]:
@@ -61,11 +147,15 @@ def _swept(sweep: Table, errors: ErrorCollector, prefix: str = "") -> dict[str, 
     for key, values in sweep.items():
         path = f"{prefix}{key}"
         if isinstance(values, dict):
-            swept |= _swept(values, errors, f"{path}.")
+            found = _swept(values, errors, f"{path}.")
         elif isinstance(values, list) and values:
-            swept[path] = values
+            found = {path: values}
         else:
             errors.add(f"sweep.{path}", f"expected a list of one or more values, got {values!r}")
+            continue
+        for twice in found.keys() & swept.keys():
+            errors.add(f"sweep.{twice}", "is given twice, as a dotted key and in a table")
+        swept |= found
     return swept
 
 
@@ -89,3 +179,13 @@ def _at(options: Table, path: str, given: Any) -> Any:
     for key in path.split("."):
         value = value.get(key) if isinstance(value, dict) else None
     return given if value is None else value
+
+
+def _size(value: Any) -> int:
+    """The number of values in a table or list, at any depth."""
+    items = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
+    return 1 + sum(map(_size, items))
+
+
+def _number(count: int) -> str:
+    return f"{count:,}" if count < 10**15 else f"about 10^{math.log10(count):.0f}"

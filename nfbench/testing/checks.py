@@ -28,8 +28,10 @@ from nfbench.core import (
     explain,
 )
 
+from .elsewhere import elsewhere
+from .footprint import footprint
 from .probe import Probe
-from .replay import replay, replay_elsewhere, same
+from .replay import cases_of, compare_before_and_after_other_runs, replays, replays_of, same
 from .subject import DIMENSIONS, Broken, Failed, Outcome, Subject, ended_ok, need
 
 BUDGETS = (1, 7, 50, 500)
@@ -189,24 +191,27 @@ def _bounds(subject: Subject) -> None:
 
 @_check
 def _same_seed(subject: Subject) -> None:
-    replays = []
-    for global_seed in (1, 2):  # the state of the global generators must not matter
-        random.seed(global_seed)
-        np.random.seed(global_seed)  # noqa: NPY002
-        replays.append(replay(subject, subject.dimension))
-    remedy = "Draw random numbers only from the generator passed to minimize, and keep no state on the solver."
-    same(replays[0], replays[1], "in this process", remedy)
+    compare_before_and_after_other_runs(subject)
 
 
 @_check
 def _new_process(subject: Subject) -> None:
-    same(
-        replay(subject, subject.dimension),
-        replay_elsewhere(subject),
-        "in this process and in a new one",
-        "Make sure that the run does not depend on earlier runs, on hash() or the order of a set, or on a library's "
-        "global seed.",
-    )
+    here = replays(subject, cases_of(subject))
+    there = elsewhere(subject, replays_of, (list(here)[::-1],))  # in the reverse order, after other runs
+    for case, first in here.items():
+        same(
+            first,
+            there[case],
+            f"in this process and in a new one ({case[0]} dimensions)",
+            "Make sure that the run does not depend on earlier runs, on hash() or the order of a set, or on a "
+            "library's global seed.",
+        )
+
+
+@_check
+def _leaves_no_trace(subject: Subject) -> None:
+    if found := elsewhere(subject, footprint, folder_of_its_own=True):
+        need(False, *found)
 
 
 @_check

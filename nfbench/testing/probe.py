@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import threading
 
 import numpy as np
 from jaxtyping import Float
@@ -47,6 +48,7 @@ class Probe(Problem):
         self.stop, self.stop_at = stop, stop_at
         self.stops = 0
         self.evaluations = 0
+        self.threads: set[int] = set()  # those that evaluate
         self._seen = hashlib.sha256()
 
     @property
@@ -60,6 +62,7 @@ class Probe(Problem):
         return self._seen.hexdigest()
 
     def evaluate(self, X: Float[ndarray, "p n"]) -> Float[ndarray, " p"]:
+        self.threads.add(threading.get_ident())
         if self.stop is not None and self.evaluations + len(X) >= self.stop_at:
             self.stops += 1
             raise self.stop(f"at evaluation {self.stop_at}")

@@ -88,8 +88,13 @@ def scenario_checks(
     each check.
     """
     scene = _Scene(scenario, tuple(formulations))
-    scenario.warm_up()
-    for name in scenario_check_names() if only is None else only:
+    names = scenario_check_names() if only is None else list(only)
+    try:
+        scenario.warm_up()
+    except Exception as error:
+        yield from (CheckResult(name, False, f"expected warm_up to succeed, got {explain(error)}.") for name in names)
+        return
+    for name in names:
         check = _SCENARIO.get(name) or _each_problem(PROBLEM_CHECKS[name])
         yield outcome(name, check, scene)
 
@@ -127,12 +132,7 @@ def _described(scene: _Scene) -> None:
         f"no entry for {', '.join(missing)}" if missing else "no docstring",
         "Describe each option in the class docstring as `name: meaning and unit`.",
     )
-    need(
-        inspect.isclass(getattr(cls, "instance", None)) and issubclass(cls.instance, Instance),
-        f"{cls.__name__}.instance to be the class that draw returns",
-        repr(getattr(cls, "instance", None)),
-        "Add `instance: ClassVar[type[Instance]] = ...` to the class.",
-    )
+    _declared_instance(scene)
 
 
 def _options(scene: _Scene) -> None:
@@ -153,11 +153,24 @@ def _options(scene: _Scene) -> None:
     )
 
 
-def _draw(scene: _Scene) -> None:
-    instance = scene.draw()
+def _declared_instance(scene: _Scene) -> type[Instance]:
+    """Return the class of the instances; fail if the scenario does not declare it."""
+    cls = getattr(type(scene.scenario), "instance", None)
     need(
-        isinstance(instance, scene.scenario.instance),
-        f"draw to return a {scene.scenario.instance.__name__}, as declared by `instance`",
+        inspect.isclass(cls) and issubclass(cls, Instance),
+        f"{type(scene.scenario).__name__}.instance to be the class that draw returns",
+        repr(cls),
+        "Add `instance: ClassVar[type[Instance]] = ...` to the class.",
+    )
+    assert cls is not None
+    return cls
+
+
+def _draw(scene: _Scene) -> None:
+    declared, instance = _declared_instance(scene), scene.draw()
+    need(
+        isinstance(instance, declared),
+        f"draw to return a {declared.__name__}, as declared by `instance`",
         f"a {type(instance).__name__}",
         "Set `instance` to the class that draw returns.",
     )
@@ -167,7 +180,7 @@ def _formulations(scene: _Scene) -> str:
     names = [type(formulation).__name__ for formulation in scene.formulations]
     need(
         names,
-        f"a formulation that accepts a {scene.scenario.instance.__name__}",
+        f"a formulation that accepts a {_declared_instance(scene).__name__}",
         "none",
         "Derive the instance from nfbench.ProblemInstance, which the formulation `direct` solves, or write a "
         "Formulation for it.",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 from collections.abc import Iterable, Iterator, Mapping
@@ -12,7 +13,16 @@ from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
 
-from nfbench.core import NfbenchError, PluginError, Scenario, Solver, explain
+from nfbench.core import (
+    NfbenchError,
+    PluginError,
+    Scenario,
+    Solver,
+    cause_of_end,
+    die_with_parent,
+    end_group_at_eof,
+    explain,
+)
 from nfbench.plugins import CONTRACTS, Registry
 from nfbench.study import load_study
 
@@ -21,6 +31,7 @@ from .scenario_checks import scenario_check_names, scenario_checks, solved_by
 
 __all__ = ["Job", "check_jobs", "watched_checks"]
 
+END_S = 5.0  # time for a process that has closed its connection to end [s]
 START_S = 120.0  # time limit [s] for the process to import the plugin, in addition to that of the first check
 
 
@@ -85,9 +96,11 @@ def _in_process(job: Job, checks: list[str], timeout_s: float) -> Iterator[Check
     """Yield the results of one process: those of all checks, or those up to the check that ended the process."""
     spawn = get_context("spawn")
     ours, theirs = spawn.Pipe(duplex=False)
-    process = spawn.Process(target=_serve, args=(theirs, job, checks), daemon=True)
+    alive, held = spawn.Pipe(duplex=False)  # we hold one end as long as we live
+    process = spawn.Process(target=_serve, args=(theirs, alive, os.getpid(), job, checks), daemon=True)
     process.start()
     theirs.close()
+    alive.close()
     try:
         error = _receive(ours, process, START_S)
         if error:
@@ -95,11 +108,14 @@ def _in_process(job: Job, checks: list[str], timeout_s: float) -> Iterator[Check
         for check in checks:
             result = _receive(ours, process, timeout_s)
             if not isinstance(result, CheckResult):
-                yield CheckResult(check, False, result)
+                _kill(process)  # now, as the caller may take its time before it asks for the next result
+                yield CheckResult(check, False, str(result))
                 return
             yield result
     finally:
         _kill(process)
+        ours.close()
+        held.close()
 
 
 def _receive(pipe: Connection, process: BaseProcess, seconds: float) -> Any:
@@ -108,13 +124,16 @@ def _receive(pipe: Connection, process: BaseProcess, seconds: float) -> Any:
         return f"expected the check to end within {seconds:g} s, got no result. {_FIX_HANG}"
     try:
         return pipe.recv()
-    except EOFError:
-        process.join()
-        return f"expected the process of the check to stay alive, got its end by {_cause(process)}. {_FIX_CRASH}"
+    except Exception:  # the end of the pipe, or an answer that a killed process has not written to its end
+        process.join(END_S)
+        cause = "it closed its connection" if process.is_alive() else f"its end by {cause_of_end(process.exitcode)}"
+        return f"expected the process of the check to stay alive, got {cause}. {_FIX_CRASH}"
 
 
-def _serve(pipe: Connection, job: Job, checks: list[str]) -> None:
+def _serve(pipe: Connection, alive: Connection, parent: int, job: Job, checks: list[str]) -> None:
     os.setsid()  # so that processes started by a check are killed together with this one
+    alive.close()
+    die_with_parent(parent)
     try:
         registry = Registry(job.files)
         plugin = registry.make(job.kind, job.name, job.options)
@@ -132,17 +151,12 @@ def _serve(pipe: Connection, job: Job, checks: list[str]) -> None:
 
 
 def _kill(process: BaseProcess) -> None:
-    if process.is_alive() and process.pid is not None:
-        try:
+    """Kill the process and every process in its group, also if the process itself has ended."""
+    if process.pid is not None:
+        with contextlib.suppress(ProcessLookupError, PermissionError):  # no group yet, or nothing left of it
             os.killpg(process.pid, signal.SIGKILL)
-        except ProcessLookupError:  # the process has not created its own group yet
-            process.kill()
+    process.kill()
     process.join()
-
-
-def _cause(process: BaseProcess) -> str:
-    code = process.exitcode or 0
-    return f"signal {-code} ({signal.Signals(-code).name})" if code < 0 else f"exit code {code}"
 
 
 _FIX_HANG = (

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
@@ -12,18 +13,40 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from nfbench import FilePath, Ge, Gt, Lt, Options
+from nfbench import FilePath, Ge, Gt, Le, OptionError, Options
 
-__all__ = ["UCA", "ULA", "UPA", "Array", "Custom", "Origin"]
+from .geometry import flatness, nearest_distances
+
+__all__ = ["MAX_ELEMENTS", "UCA", "ULA", "UPA", "Array", "Custom", "Origin", "unusual"]
+
+MAX_ELEMENTS = 100_000
+MAX_FILE_BYTES = 2**26
+FARTHEST_M = 1e9  # of an element from the origin of its coordinates
+
+LARGE, SMALL = 1000.0, 0.1  # extents [wavelengths] beyond which an array is unusual
+SPARSE = 3.0  # distance of the closest elements [wavelengths], six times the usual one
+FLAT = 0.02  # deviation from a line or plane [wavelengths, root mean square] that phases do not show
+NEARLY = 0.9998  # cosine of 1°
 
 Origin: TypeAlias = Literal["first", "center"]
 """The point from which range and angles are measured: the first element (as in the paper) or the centroid of all."""
 
-_Positive: TypeAlias = Annotated[float, Gt(0.0), Lt(math.inf)]
+_Positive: TypeAlias = Annotated[float, Gt(0.0), Le(1e6)]
+_Elements: TypeAlias = Annotated[int, Ge(2), Le(MAX_ELEMENTS)]
 
 
 class Array(ABC):
     """An array of M >= 2 elements at distinct positions; subclasses are Options."""
+
+    @property
+    @abstractmethod
+    def count(self) -> int:
+        """The number M of elements, at most 100,000, which is known before they are placed."""
+
+    def aperture_m(self, wavelength_m: float) -> float:
+        """Return the aperture D [m] from which the Fraunhofer distance 2D²/λ follows: the extent of the array."""
+        Q = self.place(wavelength_m)
+        return 2 * float(np.linalg.norm(Q - Q.mean(axis=0), axis=1).max())
 
     @abstractmethod
     def place(self, wavelength_m: float) -> Float[ndarray, "m 3"]:
@@ -40,9 +63,13 @@ class ULA(Options, Array):
     """
 
     kind: ClassVar[str] = "ula"
-    elements: Annotated[int, Ge(2)]
+    elements: _Elements
     spacing_wavelengths: _Positive
     origin: Origin
+
+    @property
+    def count(self) -> int:
+        return self.elements
 
     def place(self, wavelength_m: float) -> Float[ndarray, "m 3"]:
         Q = np.zeros((self.elements, 3))
@@ -64,14 +91,25 @@ class UPA(Options, Array):
     """
 
     kind: ClassVar[str] = "upa"
-    columns: Annotated[int, Ge(1)]
-    rows: Annotated[int, Ge(1)]
+    columns: Annotated[int, Ge(1), Le(MAX_ELEMENTS)]
+    rows: Annotated[int, Ge(1), Le(MAX_ELEMENTS)]
     spacing_wavelengths: _Positive
     origin: Origin
 
     def validate(self) -> None:
-        if self.columns * self.rows < 2:
+        if self.count < 2:
             raise ValueError(f"columns and rows: expected at least 2 elements, got {self.columns} × {self.rows}")
+        if self.count > MAX_ELEMENTS:
+            product = f"{self.columns} × {self.rows} = {self.count:,}"
+            raise ValueError(f"columns and rows: expected at most {MAX_ELEMENTS:,} elements, got {product}")
+
+    @property
+    def count(self) -> int:
+        return self.columns * self.rows
+
+    def aperture_m(self, wavelength_m: float) -> float:
+        """Return D = √(columns² + rows²)·δ, as in the paper, whose 16 × 16 elements are √2·16·δ wide."""
+        return math.hypot(self.columns, self.rows) * self.spacing_wavelengths * wavelength_m
 
     def place(self, wavelength_m: float) -> Float[ndarray, "m 3"]:
         z, y = np.divmod(np.arange(self.columns * self.rows), self.columns)
@@ -92,9 +130,13 @@ class UCA(Options, Array):
     """
 
     kind: ClassVar[str] = "uca"
-    elements: Annotated[int, Ge(2)]
+    elements: _Elements
     radius_wavelengths: _Positive
     origin: Origin
+
+    @property
+    def count(self) -> int:
+        return self.elements
 
     def place(self, wavelength_m: float) -> Float[ndarray, "m 3"]:
         angle = 2 * math.pi * np.arange(self.elements) / self.elements
@@ -124,16 +166,25 @@ class Custom(Options, Array):
         if (self.positions is None) == (self.file is None):
             raise ValueError(f"expected either positions or file, got {'neither' if self.file is None else 'both'}")
         source = "positions" if self.file is None else f"file {Path(self.file).name}"
+        if self.positions is not None and len(self.positions) > MAX_ELEMENTS:
+            text = f"expected at most {MAX_ELEMENTS:,} elements, got {len(self.positions):,}"
+            raise OptionError(type(self).__name__, [("positions", text)])
         Q = np.array(self.positions) if self.file is None else _load(Path(self.file))
         if Q.ndim != 2 or Q.shape[1] != 3 or len(Q) < 2:
             raise ValueError(f"{source}: expected at least 2 rows of x, y, z, got an array of shape {Q.shape}")
         if not np.isfinite(Q).all():
             row = int(np.flatnonzero(~np.isfinite(Q).all(axis=1))[0])
             raise ValueError(f"{source}: expected finite positions, got {Q[row].tolist()} in row {row}")
+        if np.abs(Q).max() > FARTHEST_M:
+            raise ValueError(f"{source}: expected coordinates within ±{FARTHEST_M:g} m, got {np.abs(Q).max():g} m")
         if len(np.unique(Q, axis=0)) < len(Q):
             raise ValueError(f"{source}: expected distinct positions, got {len(Q)} positions, some of which are equal")
         object.__setattr__(self, "positions", tuple(tuple(row) for row in Q.tolist()))
         object.__setattr__(self, "file", None)
+
+    @property
+    def count(self) -> int:
+        return len(self.positions or ())
 
     def place(self, wavelength_m: float) -> Float[ndarray, "m 3"]:
         return _relative(np.array(self.positions), self.origin)
@@ -149,9 +200,62 @@ def _load(path: Path) -> ndarray:
     if path.suffix not in (".npy", ".csv"):
         raise ValueError(f"file: expected a .npy or .csv file, got {path.name}")
     try:
+        if path.stat().st_size > MAX_FILE_BYTES:
+            raise ValueError(f"it has more than {MAX_FILE_BYTES:,} bytes")
         if path.suffix == ".npy":
-            return np.asarray(np.load(path, allow_pickle=False), dtype=np.float64)
+            return _load_npy(path)
         lines = [line for line in path.read_text(encoding="utf-8-sig").splitlines() if line.strip()]
+        if len(lines) > MAX_ELEMENTS:
+            raise ValueError(f"it has {len(lines):,} rows, more than {MAX_ELEMENTS:,}")
         return np.array([[float(cell) for cell in line.split(",")] for line in lines])
-    except (ValueError, TypeError, EOFError) as error:
+    except (ValueError, TypeError, EOFError, OSError) as error:
         raise ValueError(f"file {path.name}: expected rows of three numbers, but reading it failed: {error}") from error
+
+
+def _load_npy(path: Path) -> ndarray:
+    """Map the file instead of reading it, as its header may promise more numbers than it has."""
+    mapped = np.load(path, mmap_mode="r", allow_pickle=False)
+    if not isinstance(mapped, ndarray) or mapped.dtype.kind not in "iuf":
+        raise ValueError(f"it holds {getattr(mapped, 'dtype', 'several arrays')}, not real numbers")
+    if mapped.ndim == 2 and len(mapped) > MAX_ELEMENTS:
+        raise ValueError(f"it has {len(mapped):,} rows, more than {MAX_ELEMENTS:,}")
+    return np.array(mapped, dtype=np.float64)
+
+
+@functools.lru_cache(maxsize=16)
+def unusual(array: Array, wavelength_m: float, faces_forward: bool) -> tuple[str, ...]:
+    """Return sentences about an array that is probably not what was meant, e.g. because of a wrong unit.
+
+    faces_forward: whether all sources are in front of the array, at azimuths within ±90°.
+    """
+    Q = array.place(wavelength_m)
+    found = []
+    extent = float(np.linalg.norm(np.ptp(Q, axis=0)))
+    closest = float(nearest_distances(Q).min())
+    size = f"{array.count} elements extend over {extent:.4g} m, {extent / wavelength_m:,.4g} wavelengths"
+    apart = f"and are at least {closest:.4g} m apart, {closest / wavelength_m:,.4g} wavelengths"
+    is_custom = isinstance(array, Custom)
+    unit = "positions are in metres" if is_custom else "its spacing or radius is in wavelengths"
+    millimetres = ": are these millimetres?" if is_custom else ""
+    if extent > LARGE * wavelength_m or closest > SPARSE * wavelength_m:
+        found.append(
+            f"array: its {size} of {wavelength_m:g} m, {apart}; half a wavelength is usual; {unit}{millimetres}"
+        )
+    elif extent < SMALL * wavelength_m:
+        found.append(f"array: its {size} of {wavelength_m:g} m, so that it resolves no directions; {unit}")
+    if is_custom and faces_forward:
+        found += _facing_sideways(Q, wavelength_m)
+    return tuple(found)
+
+
+def _facing_sideways(Q: Float[ndarray, "m 3"], wavelength_m: float) -> list[str]:
+    """Return a sentence if the elements lie in a plane or on a line that contains the x axis, the broadside."""
+    rank, axes = flatness(Q, FLAT * wavelength_m)
+    where = "the x axis, from which azimuths are measured and which is assumed to be the broadside"
+    if rank == 1 and abs(axes[0, 0]) > NEARLY:
+        return [f"array: its elements lie on a line along {where}; turn the positions, e.g. to the y axis"]
+    if rank == 2 and np.hypot(axes[0, 0], axes[1, 0]) > NEARLY:
+        plane = ", for example the x-y plane" if abs(axes[2, 2]) > NEARLY else ""
+        text = f"array: its elements lie in a plane that contains {where}{plane and f' ({plane[2:]})'}"
+        return [f"{text}; turn the positions so that the array lies in the y-z plane"]
+    return []

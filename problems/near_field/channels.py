@@ -11,14 +11,17 @@ import numpy as np
 from jaxtyping import Complex, Float
 from numpy import ndarray
 
-from nfbench import Ge, Gt, Le, Lt, Options
+from nfbench import Ge, Gt, Le, Options
 
 from .wavefronts import Manifold
 
 __all__ = ["IID", "ClusterAroundSource", "Clusters", "Isotropic", "NLoS", "complex_normal", "rician"]
 
+RADIANS_BELOW = 0.2  # an angular spread [°] that is smaller is taken for one in radians
+
 _Degrees: TypeAlias = Annotated[float, Ge(0.0), Le(180.0)]
-_Metres: TypeAlias = Annotated[float, Ge(0.0), Lt(math.inf)]
+_Metres: TypeAlias = Annotated[float, Ge(0.0), Le(1e9)]
+_Count: TypeAlias = Annotated[int, Ge(1), Le(100_000)]
 
 
 class NLoS(ABC):
@@ -27,6 +30,18 @@ class NLoS(ABC):
     The geometry of the scatterers is drawn once per scene. Given the geometry, every g_k is circular complex Gaussian
     with the covariance F_kᵀ·F_k*, whose trace is M.
     """
+
+    def numbers(self, sources: int, elements: int) -> int:
+        """Return how many numbers ``factors`` computes at once, which determines the memory of a draw."""
+        return 0
+
+    def warnings(self) -> list[str]:
+        """Return sentences about options that are valid but probably not what was meant."""
+        spread = getattr(self, "angular_spread_deg", 0.0)
+        if 0 < spread < RADIANS_BELOW:
+            text = f"nlos.angular_spread_deg: {spread:g}° is unusually small; is it in radians?"
+            return [f"{text} {spread:g} rad are {math.degrees(spread):.3g}°"]
+        return []
 
     @abstractmethod
     def factors(
@@ -114,6 +129,9 @@ class Isotropic(Options, NLoS):
 
     kind: ClassVar[str] = "isotropic"
 
+    def numbers(self, sources: int, elements: int) -> int:
+        return 3 * elements**2
+
     def factors(
         self,
         rng: np.random.Generator,
@@ -151,15 +169,18 @@ class Clusters(Options, NLoS):
 
     kind: ClassVar[str] = "clusters"
 
-    clusters: Annotated[int, Ge(1)] = 3
+    clusters: _Count = 3
     angular_spread_deg: _Degrees = 5.0
     range_spread_m: _Metres | None = None
-    scatterers: Annotated[int, Ge(1)] = 400
-    weights: tuple[Annotated[float, Gt(0.0), Lt(math.inf)], ...] | None = None
+    scatterers: _Count = 400
+    weights: tuple[Annotated[float, Gt(0.0), Le(1e100)], ...] | None = None
 
     def validate(self) -> None:
         if self.weights is not None and len(self.weights) != self.clusters:
             raise ValueError(f"weights: expected {self.clusters} numbers, one per cluster, got {len(self.weights)}")
+
+    def numbers(self, sources: int, elements: int) -> int:
+        return sources * self.clusters * self.scatterers * elements
 
     def factors(
         self,
@@ -195,7 +216,10 @@ class ClusterAroundSource(Options, NLoS):
 
     angular_spread_deg: _Degrees = 5.0
     range_spread_m: _Metres | None = None
-    scatterers: Annotated[int, Ge(1)] = 400
+    scatterers: _Count = 400
+
+    def numbers(self, sources: int, elements: int) -> int:
+        return sources * self.scatterers * elements
 
     def factors(
         self,

@@ -12,9 +12,9 @@ from numpy import ndarray
 
 from nfbench import Ge, Gt, Instance, Le, Lt, OneOf, OptionError, Scenario
 
-from .arrays import UCA, ULA, UPA, Array, Custom
+from .arrays import UCA, ULA, UPA, Array, Custom, unusual
 from .channels import IID, ClusterAroundSource, Clusters, Isotropic, NLoS, complex_normal, rician
-from .geometry import directions
+from .geometry import ambiguity, directions
 from .instance import NearFieldInstance
 from .objectives import kernels
 from .wavefronts import Manifold, Wavefront
@@ -22,6 +22,12 @@ from .wavefronts import Manifold, Wavefront
 __all__ = ["NearField", "NearFieldInstance"]
 
 _Finite: TypeAlias = Annotated[float, Gt(-math.inf), Lt(math.inf)]
+_Decibels: TypeAlias = Annotated[float, Ge(-300.0), Le(300.0)]
+
+MAX_NUMBERS = 10**8  # in one array of a draw, 1.6 GB
+MAX_SOURCES = 1000
+BEYOND = 0.6  # share of the interval of ranges that may lie beyond the Fraunhofer distance
+FLAT = 0.02  # deviation from a line or plane [wavelengths, root mean square] that phases do not show
 
 _BATCH, _BATCHES = 1000, 100  # placements per attempt, and attempts, to find sources that are far enough apart
 
@@ -59,11 +65,11 @@ class NearField(Scenario):
     instance: ClassVar[type[Instance]] = NearFieldInstance
 
     array: Annotated[Array, OneOf(ULA, UPA, UCA, Custom)]
-    wavelength_m: Annotated[float, Gt(0.0), Lt(math.inf)]
+    wavelength_m: Annotated[float, Ge(1e-9), Le(1e9)]
     wavefront: Wavefront = "exact"
-    sources: Annotated[int, Ge(1)]
-    snapshots: Annotated[int, Ge(1)]
-    snr_db: _Finite | tuple[_Finite, ...]
+    sources: Annotated[int, Ge(1), Le(MAX_SOURCES)]
+    snapshots: Annotated[int, Ge(1), Le(MAX_NUMBERS)]
+    snr_db: _Decibels | tuple[_Decibels, ...]
     rician_k: Annotated[float, Gt(0.0)] = math.inf
     fading: Literal["block", "snapshot"] | None = None
     nlos: Annotated[NLoS, OneOf(IID, Clusters, ClusterAroundSource, Isotropic)] = IID()  # noqa: RUF009  # frozen
@@ -72,15 +78,16 @@ class NearField(Scenario):
     range_m: tuple[_Finite, _Finite]
     min_separation_deg: Annotated[float, Ge(0.0), Le(180.0)] = 0.0
     positions: tuple[tuple[_Finite, ...], ...] | None = None
-    gospa_cutoff_m: Annotated[float, Gt(0.0), Lt(math.inf)] = 1.0
+    gospa_cutoff_m: Annotated[float, Gt(0.0), Le(1e9)] = 1.0
 
     def validate(self) -> None:
         problems = [
             *_interval("azimuth_deg", self.azimuth_deg, -180.0, 180.0),
             *_interval("elevation_deg", self.elevation_deg, -90.0, 90.0),
-            *_interval("range_m", self.range_m, 0.0, math.inf),
+            *_interval("range_m", self.range_m, 1e-9, 1e9),
+            *self._too_large(),
         ]
-        elements = len(self.array.place(self.wavelength_m))
+        elements = self.array.count
         if self.sources >= elements:
             problems.append(("sources", f"expected fewer than the {elements} elements, got {self.sources}"))
         if isinstance(self.snr_db, tuple) and len(self.snr_db) != self.sources:
@@ -93,8 +100,93 @@ class NearField(Scenario):
         if problems:
             raise OptionError(type(self).__name__, problems)
 
+    def _too_large(self) -> list[tuple[str, str]]:
+        """Return an error for the largest array of a draw, if it has too many numbers."""
+        K, M, T = self.sources, self.array.count, self.snapshots
+        waves = self.nlos.numbers(K, M)
+        sizes = {
+            f"snapshots × elements = {T:,} × {M:,}": ("snapshots", T * M),
+            f"snapshots × sources = {T:,} × {K:,}": ("snapshots", T * K),
+            f"the scattered waves of {K:,} sources at {M:,} elements": ("nlos", waves),
+        }
+        if self.fading == "snapshot":
+            sizes[f"snapshots × elements × sources = {T:,} × {M:,} × {K:,}"] = ("snapshots", T * M * K)
+            sizes[f"the gains of the scattered waves in {T:,} snapshots"] = ("snapshots", T * waves // M)
+        if self.min_separation_deg:
+            sizes[f"{_BATCH:,} placements of {K:,} sources 2 by 2"] = ("sources", _BATCH * K * (K - 1) // 2 * 3)
+        text, (name, size) = max(sizes.items(), key=lambda item: item[1][1])
+        if size <= MAX_NUMBERS:
+            return []
+        return [(name, f"expected at most {MAX_NUMBERS:,} numbers in the arrays of a scene, got {text} = {size:,}")]
+
     def warm_up(self) -> None:
         kernels.warm_up()
+
+    def manifold(self) -> Manifold:
+        """Return the array and the wavefront model with which the data are generated."""
+        has_elevation = self.elevation_deg is not None
+        return Manifold(self.array.place(self.wavelength_m), self.wavelength_m, self.wavefront, has_elevation)
+
+    def warnings(self) -> list[str]:
+        """Return sentences about units and geometry that are probably not what was meant."""
+        low, high = self.azimuth_deg
+        return [
+            *unusual(self.array, self.wavelength_m, faces_forward=low >= -90 and high <= 90),
+            *self._two_sides(),
+            *self._in_radians(),
+            *self._too_far(),
+            *self.nlos.warnings(),
+        ]
+
+    def _two_sides(self) -> list[str]:
+        """Return a sentence if the box contains two directions that the array cannot distinguish."""
+        lower, upper = self.box()
+        found = ambiguity(self.array.place(self.wavelength_m), lower, upper, FLAT * self.wavelength_m)
+        if found is None:
+            return []
+        shape, pair = found
+        first, second = (", ".join(f"{angle:g}°" for angle in row) for row in np.degrees(pair).round(1) + 0.0)
+        if pair.shape[1] == 1:
+            names = f"azimuths {first} and {second}"
+        else:
+            names = f"directions ({first}) and ({second}) in azimuth and elevation"
+        keys = "azimuth_deg" if self.elevation_deg is None else "azimuth_deg and elevation_deg"
+        text = f"{keys}: the box contains both sides of the array, whose elements lie "
+        where = "in a plane" if shape == "plane" else "on a line"
+        where += "" if self.elevation_deg else ", seen along the z axis,"
+        return [f"{text}{where} and cannot distinguish, for example, the {names}; make the box smaller"]
+
+    def _in_radians(self) -> list[str]:
+        """Return sentences about angles in degrees whose values are typical of radians."""
+        found = []
+        intervals = {"azimuth_deg": (self.azimuth_deg, math.pi), "elevation_deg": (self.elevation_deg, math.pi / 2)}
+        for name, (interval, largest) in intervals.items():
+            if interval is not None and max(map(abs, interval)) <= largest + 0.002:
+                low, high = interval
+                text = f"{name}: [{low:g}, {high:g}]° is an unusually narrow interval; are these radians?"
+                found.append(f"{text} [{low:g}, {high:g}] rad is [{math.degrees(low):.4g}, {math.degrees(high):.4g}]°")
+        if 0 < self.min_separation_deg < 0.1:
+            value = self.min_separation_deg
+            text = f"min_separation_deg: {value:g}° is unusually small; is it in radians?"
+            found.append(f"{text} {value:g} rad is {math.degrees(value):.3g}°")
+        azimuths = [abs(position[0]) for position in self.positions or ()]
+        if len(azimuths) > 1 and 0 < max(azimuths) <= math.pi / 2 and max(map(abs, self.azimuth_deg)) > 10:
+            text = f"positions: all azimuths are within ±{max(azimuths):g}°; are these radians?"
+            found.append(f"{text} {max(azimuths):g} rad is {math.degrees(max(azimuths)):.3g}°")
+        return found
+
+    def _too_far(self) -> list[str]:
+        """Return a sentence if most ranges are beyond the near field, where the range cannot be estimated."""
+        aperture = self.array.aperture_m(self.wavelength_m)
+        fraunhofer = 2 * aperture**2 / self.wavelength_m
+        low, high = self.range_m
+        share = (high - max(low, fraunhofer)) / (high - low)
+        if share <= BEYOND:
+            return []
+        text = f"range_m: {share:.0%} of [{low:g}, {high:g}] m lie beyond the Fraunhofer distance 2D²/λ"
+        return [
+            f"{text} = {fraunhofer:.4g} m of this array, D = {aperture:.4g} m, where ranges can hardly be estimated"
+        ]
 
     def draw(self, rng: np.random.Generator) -> NearFieldInstance:
         """Draw positions, fading, symbols and noise, each from its own child of ``rng``, spawned in this order.
@@ -104,11 +196,9 @@ class NearField(Scenario):
         """
         kernels.warm_up()  # so that no measured time includes the compilation
         for_positions, for_fading, for_symbols, for_noise = rng.spawn(4)
-        lower, upper = self._box()
+        lower, upper = self.box()
         theta = self._place_sources(for_positions, lower, upper)
-        manifold = Manifold(
-            self.array.place(self.wavelength_m), self.wavelength_m, self.wavefront, self.elevation_deg is not None
-        )
+        manifold = self.manifold()
         draws = self.snapshots if self.fading == "snapshot" else 1
         G = self.nlos.draw(for_fading, draws, manifold, theta, lower, upper)
         H = rician(manifold.response(theta).T, G, self.rician_k)
@@ -118,7 +208,7 @@ class NearField(Scenario):
         Y = np.einsum("tmk,kt->mt", np.broadcast_to(H, (self.snapshots, *H.shape[1:])), symbols) + N
         return NearFieldInstance(Y, theta, manifold, lower, upper, H, symbols, snr, self.rician_k, self.gospa_cutoff_m)
 
-    def _box(self) -> tuple[Float[ndarray, " d"], Float[ndarray, " d"]]:
+    def box(self) -> tuple[Float[ndarray, " d"], Float[ndarray, " d"]]:
         """Return the lower and upper bounds of one source [rad, m]."""
         angles = [self.azimuth_deg] if self.elevation_deg is None else [self.azimuth_deg, self.elevation_deg]
         lower, upper = np.array([*np.radians(angles), self.range_m]).T

@@ -1,12 +1,13 @@
 """Tests that options are checked on construction and that errors name the option and both values."""
 
 import functools
+import typing
 from dataclasses import dataclass, field
 from typing import Annotated, ClassVar, Literal
 
 import pytest
 
-from nfbench import FilePath, Ge, Gt, Le, OneOf, OptionError, Options
+from nfbench import Budget, FilePath, Ge, Gt, Le, OneOf, OptionError, Options
 from nfbench.core.options import build, canonical, relative_to
 
 
@@ -154,3 +155,103 @@ def test_an_invalid_table_is_reported_with_its_path(line, expected):
     with pytest.raises(OptionError) as caught:
         build(Nested, {"line": line})
     assert caught.value.problems == [expected]
+
+
+@dataclass(frozen=True)
+class Loose(Options):
+    table: dict[str, typing.Any] = field(default_factory=dict)
+    numbers: tuple[float, ...] = ()
+    anything: typing.Any = None
+
+
+def problems(cls, **options):
+    with pytest.raises(OptionError) as caught:
+        build(cls, options)
+    return caught.value.problems
+
+
+def test_nan_is_refused_at_any_depth():
+    nan = float("nan")
+    assert problems(Loose, numbers=[1.0, nan]) == [("numbers[1]", "expected a number, got nan")]
+    assert problems(Loose, table={"a": [0, {"b": nan}]}) == [("table.a[1].b", "expected a number, got nan")]
+    assert problems(Loose, anything=[[nan], nan]) == [
+        ("anything[0][0]", "expected a number, got nan"),
+        ("anything[1]", "expected a number, got nan"),
+    ]
+
+
+def test_endless_nesting_is_refused():
+    deep: list = []
+    deep.append(deep)
+    (problem,) = problems(Loose, anything=deep)
+    assert problem[1] == "expected at most 32 nested lists or tables, got more"
+    table: dict = {}
+    table["a"] = table
+    assert "at most 32 nested" in problems(Loose, table=table)[0][1]
+
+
+@pytest.mark.parametrize(
+    ("value", "shown"),
+    [
+        ([1, [2, "x"]], "[1, [2, 'x']]"),
+        (list(range(20)), "[0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, ...]"),
+        ([[[[[[1]]]]]], "[[[[[...]]]]]"),
+        pytest.param(10**5000, "an integer of 16610 bits", id="5,001 digits"),
+        ("\x1b[31m", "'\\x1b[31m'"),
+    ],
+)
+def test_values_in_messages_are_short_and_printable(value, shown):
+    assert problems(Sample, rule=value) == [("rule", f"expected 'clip' or 'resample', got {shown}")]
+    assert len(problems(Sample, rule="x" * 10**6)[0][1]) < 250
+
+
+def test_the_kind_of_one_of_may_be_anything():
+    for kind in ([1], {"a": 1}, 3, float("inf"), True):
+        ((path, text),) = problems(Sample, array={"kind": kind})
+        assert path == "array.kind" and text.startswith("unknown kind ") and text.endswith("; known: line, ring")
+
+
+def test_many_errors_are_kept_and_the_first_50_shown():
+    with pytest.raises(OptionError) as caught:
+        build(Sample, {f"option{i}": 1 for i in range(20_000)})
+    assert len(caught.value.problems) == 20_000
+    assert str(caught.value).endswith("; … and 19,950 more (the first 50 of 20,000 are shown)")
+    assert str(caught.value).count("unknown option") == 50
+
+
+def test_messages_have_no_control_characters_of_names():
+    with pytest.raises(OptionError) as caught:
+        build(Sample, {"a\x1b[31m\nb": 1})
+    assert str(caught.value).isprintable()
+
+
+def test_wrong_items_of_a_list_are_reported_without_its_other_types():
+    assert problems(Sample, snr=["x", 1.0]) == [("snr[0]", "expected number, got 'x'")]
+
+
+@pytest.mark.parametrize("path", ["a" * 5000, "\0", ".", "/dev/null"])
+def test_a_path_that_is_no_file_is_refused(path):
+    @dataclass(frozen=True)
+    class Reader(Options):
+        file: FilePath
+
+    with pytest.raises(OptionError, match=r"file: (no such file|cannot be read|expected a regular file)"):
+        Reader(path)
+
+
+@pytest.mark.parametrize(
+    ("options", "complaint"),
+    [
+        (
+            {"evaluations": 10**16},
+            "evaluations: expected less than or equal to 1000000000000000, got 10000000000000000",
+        ),
+        ({"evaluations": 10**5000}, "evaluations: .* got an integer of 16610 bits"),
+        ({"seconds": float("inf")}, "seconds: expected less than or equal to 1000000000, got inf"),
+        ({"evaluations": 1, "target": float("inf")}, "target: expected less than inf, got inf"),
+        ({"evaluations": 1, "target": float("-inf")}, "target: expected greater than -inf, got -inf"),
+    ],
+)
+def test_a_budget_that_no_machine_can_spend_is_refused(options, complaint):
+    with pytest.raises(OptionError, match=complaint):
+        Budget(**options)

@@ -336,11 +336,11 @@ def test_positions_of_other_instances_are_refused(field):
     assert stems == ["error", "runtime"] and warnings[0].startswith("positions are not drawn: positions cannot be")
 
 
-def test_instances_without_positions_are_an_error_only_if_positions_are_requested(study):
+def test_instances_without_positions_are_an_error_only_if_positions_are_requested(study, toy_plugin):
     results = study()
-    assert "positions" not in drawings(results)
+    assert "positions" not in drawings(results, plugins=(toy_plugin,))
     with pytest.raises(NfbenchError, match="the scenario's instances have none"):
-        drawings(results, positions=True)
+        drawings(results, positions=True, plugins=(toy_plugin,))
 
 
 def test_convergence_is_the_median_over_runs(study):
@@ -377,7 +377,7 @@ def test_the_same_results_give_the_same_bytes_in_another_process(field):
     assert b"/Type3" not in first["error.pdf"]
 
 
-def test_wrong_use_is_exit_code_2_with_a_message(study, tmp_path, monkeypatch, capsys):
+def test_wrong_use_is_exit_code_2_with_a_message(study, tmp_path, monkeypatch, capsys, toy_plugin):
     def figure(*arguments):
         monkeypatch.setattr(sys, "argv", ["nfbench", "figure", *map(str, arguments)])
         monkeypatch.setenv("COLUMNS", "160")
@@ -391,14 +391,18 @@ def test_wrong_use_is_exit_code_2_with_a_message(study, tmp_path, monkeypatch, c
         ([results.folder, "--format", "svg,eps"], "expected svg, pdf, png, got 'eps'"),
         ([results.folder, "--width", "triple"], "'triple' is not one of"),
         ([results.folder, "--out", results.folder / "runs.csv"], "runs.csv"),
-        ([results.folder, "--positions"], "positions cannot be drawn: the scenario's instances have none"),
+        ([results.folder, "--positions"], f"pass those that you trust with --plugin: {toy_plugin}"),
+        (
+            [results.folder, "--positions", "--plugin", toy_plugin],
+            "positions cannot be drawn: the scenario's instances have none",
+        ),
     ):
         code, errors = figure(*arguments)
         assert code == 2 and message in errors, errors
     with Store(results.folder, write=True) as store:
         store._db.execute("DELETE FROM results WHERE run_id = ?", [results.runs["run_id"][0]])
         store._db.commit()
-    code, errors = figure(results.folder, "--out", tmp_path / "drawn")
+    code, errors = figure(results.folder, "--out", tmp_path / "drawn", "--no-positions")
     assert code == 0 and (tmp_path / "drawn" / "error.svg").is_file()
     assert errors == "nfbench: the study is unfinished; the figures show 7 of 8 runs\n"
     with Store(results.folder, write=True) as store:
@@ -410,3 +414,70 @@ def test_wrong_use_is_exit_code_2_with_a_message(study, tmp_path, monkeypatch, c
 def test_the_command_line_does_not_import_matplotlib():
     code = "import sys, nfbench.cli, nfbench.results; sys.exit('matplotlib' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], timeout=60).returncode == 0
+
+
+EVIL = "from pathlib import Path\nPath({proof!r}).write_text('executed')\n"
+
+
+def test_reading_runs_no_file_of_the_folder(study, tmp_path, toy_plugin, monkeypatch, capfd):
+    """A folder from elsewhere is data: no command imports the plugins that its manifest names, unless told to."""
+    results = study(repetitions=2)
+    folder, proof = results.folder, tmp_path / "executed"
+    (folder / "evil.py").write_text(EVIL.format(proof=str(proof)) + toy_plugin.read_text())
+    for names in ('["evil.py"]', f'["{folder / "evil.py"}"]'):
+        text = (folder / "manifest.toml").read_text()
+        head, _, rest = text.partition("plugins = ")
+        (folder / "manifest.toml").write_text(f"{head}plugins = {names}\n{rest.partition(chr(10))[2]}")
+        for arguments in (
+            ("figure", folder, "--traces"),
+            ("figure", folder, "--positions"),
+            ("figure", folder, "--manifest", folder / "manifest.toml"),
+            ("status", folder),
+            ("report", folder),
+            ("compare", folder, folder),
+            ("merge", folder, "--out", tmp_path / "merged"),
+            ("export", folder, "--to", "csv", "--out", tmp_path / f"{len(names)}.csv"),
+            ("export", folder, "--to", "ioh", "--out", tmp_path / f"{len(names)}"),
+        ):
+            monkeypatch.setattr(sys, "argv", ["nfbench", *map(str, arguments)])
+            with pytest.raises(SystemExit) as ended:
+                main()
+            output = "".join(capfd.readouterr())
+            assert ended.value.code == (2 if "--positions" in arguments else 0), output
+            assert ("pass those that you trust with --plugin: " in output) == (arguments[0] == "figure"), output
+            assert not proof.exists(), arguments
+    drawings(results, plugins=(folder / "evil.py",))
+    assert proof.exists()  # it would have run
+
+
+def test_swept_text_that_looks_like_json_or_markup_is_drawn_as_it_is(study, monkeypatch):
+    texts = ["[1", "[/]", "{", '"', "[1]", "a\x1b[2Jb", "$x_1$", "_a", "日本"]
+    results = study(f"names = {[[f'text {i}'] for i in range(len(texts))]}\n", repetitions=1)
+    with Store(results.folder, write=True) as store:
+        for i, text in enumerate(texts):
+            swept = [json.dumps({"names": value}) for value in (text, [f"text {i}"])]
+            store._db.execute("UPDATE plan SET swept = ? WHERE swept = ?", swept)
+        store._db.execute("DELETE FROM meta WHERE key = 'plan_rows'")
+        store._db.commit()
+    seen = drawn(results)
+    column, at = seen.along
+    assert column == "scenario.names" and at is None
+    shown = [text_of(part.where[-1][1]) for part in seen.by([column])]
+    assert shown == ["[1", "[/]", "{", '"', "[1]", r"a\x1b[2Jb", r"\$x_1\$", "\N{THIN SPACE}_a", "日本"]
+    written = write_figures(results, results.folder / "drawn", ["svg", "pdf"], Drawing(traces=True, positions=False))
+    assert all(path.stat().st_size for path in written) and len(written) == 6
+
+
+def test_equal_file_names_of_different_values_are_numbered(study):
+    results = study("dimension = [1, 2]\nnoise = [0.1, 0.10000001, 0.10000002, 0.10000003]\n", repetitions=1)
+    stems = [stem for stem in drawings(results, positions=False) if stem.startswith("error")]
+    assert stems == ["error-noise-0.1", *(f"error-noise-0.1-{number}" for number in (2, 3, 4))]
+
+
+def test_a_manifest_with_another_scenario_does_not_stop_the_figures(field):
+    results = field()
+    (results.folder / "manifest.toml").write_text(FIELD.partition("[scenario]")[0] + '[scenario]\nkind = "functions"\n')
+    told = []
+    with styled():
+        stems = [stem for stem, _ in figures(results, Drawing(), told.append)]
+    assert stems == ["error", "runtime"] and len(told) == 1 and "manifest.toml" in told[0]

@@ -10,7 +10,8 @@ from conftest import BASIC
 import nfbench
 from nfbench import StoreError, load_study
 from nfbench.results import Results
-from nfbench.results.store import Store, network_file_system
+from nfbench.results.folder import network_file_system
+from nfbench.results.store import Store
 from nfbench.study.records import RunRecord
 
 
@@ -87,7 +88,7 @@ def test_a_network_file_system_is_recognized_and_written_without_wal(folder, man
     assert network_file_system(tmp_path) is None
     mounts = tmp_path / "mounts"
     mounts.write_text(f"a / ext4 rw 0 0\nserver:/x {tmp_path} nfs4 rw 0 0\n")
-    monkeypatch.setattr("nfbench.results.store.MOUNTS", mounts)
+    monkeypatch.setattr("nfbench.results.folder.MOUNTS", mounts)
     assert network_file_system(folder) == "nfs4"
     with Store(folder, write=True) as store:
         assert store._db.execute("PRAGMA journal_mode").fetchone() == ("delete",)

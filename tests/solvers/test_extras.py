@@ -26,12 +26,23 @@ QUICK = [
     "constant",
     "quiet",
 ]
+TOO_SLOW = {"BO", "BOSplit"}  # of Nevergrad: a Gaussian process is fitted for every point
+PIECES = 40  # into which the algorithms are divided, so that a run of the tests can be divided too
 NEVERGRAD = ("TwoPointsDE", "DE", "PSO", "RealSpacePSO", "OnePlusOne", "CMA", "TBPSA", "ScrHammersleySearch", "Cobyla")
 
 
 def algorithms(name):
     hint = typing.get_type_hints(CLASSES[name])["algorithm"]
     return NEVERGRAD if name == "nevergrad" else typing.get_args(hint)
+
+
+def every_algorithm(name):
+    """Every algorithm that works here; those of Nevergrad from its registry."""
+    if name != "nevergrad":
+        return algorithms(name)
+    from nfbench.solvers.nevergrad import _registry
+
+    return sorted({*_registry()} - {*CLASSES[name].unusable()} - TOO_SLOW)
 
 
 def present(name):
@@ -51,6 +62,27 @@ def parameters():
 @pytest.mark.parametrize(("name", "algorithm"), [*parameters()])
 def test_an_algorithm_passes_the_main_checks(name, algorithm):
     for result in solver_checks(nfbench.solver(name, algorithm=algorithm), only=QUICK):
+        assert result.passed, f"{result.name}: {result.message}"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("piece", range(PIECES))
+def test_every_algorithm_of_every_adapter_repeats_its_runs(piece):
+    """Whatever ran before in the process: this is what makes the table independent of the number of workers."""
+    found = [(name, algorithm) for name in NAMES if present(name) for algorithm in every_algorithm(name)]
+    failed = [
+        f"{name} {algorithm}: {result.message}"
+        for name, algorithm in found[piece::PIECES]
+        for result in solver_checks(nfbench.solver(name, algorithm=algorithm), only=["same-seed"])
+        if not result.passed
+    ]
+    assert not failed, "\n".join(failed)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "algorithm"), [*parameters()])
+def test_an_algorithm_leaves_no_trace_and_repeats_in_a_new_process(name, algorithm):
+    for result in solver_checks(nfbench.solver(name, algorithm=algorithm), only=["new-process", "leaves-no-trace"]):
         assert result.passed, f"{result.name}: {result.message}"
 
 

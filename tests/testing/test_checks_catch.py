@@ -9,6 +9,7 @@ from typing import ClassVar
 
 import numpy as np
 import pytest
+from leaving_solvers import KeepsDeviate, KeepsDimension, KeepsGenerator, LeavesAfterError, Threads, forget
 
 from nfbench import BudgetExhausted, Incompatible, Solver, SolverInfo
 from nfbench.testing import CheckResult, Probe, check_names, check_solver, solver_checks
@@ -351,11 +352,16 @@ CAUGHT = [
     (Outside, "bounds", "within the bounds, even when the minimum is in a corner of the box, got x["),
     (Deaf, "stops-when-told", "BudgetExhausted is raised at evaluation 1, got 2 further evaluation requests"),
     (Polite, "stops-when-told", "got 0 further evaluation requests, and minimize returned normally"),
-    (Soothing, "errors-pass", "a problem that raises at evaluation 300 to end the run as failed, got status ok"),
+    (Soothing, "errors-pass", "a problem that raises at evaluation 1 to end the run as failed, got status invalid"),
     (GlobalDraws, "same-seed", "expected identical traces with the same seed in this process"),
     (GlobalDraws, "global-random-untouched", "the global state of np.random to be unchanged"),
     (GlobalSeed, "global-random-untouched", "the global state of random to be unchanged"),
     (OwnEntropy, "same-seed", "that differ from row"),
+    (KeepsGenerator, "same-seed", "with the same seed in this process, got"),
+    (KeepsDeviate, "same-seed", "in 6 dimensions before and after a run in 1 dimensions of 3 evaluations, got"),
+    (KeepsDimension, "new-process", "with the same seed in this process and in a new one ("),
+    (LeavesAfterError, "leaves-no-trace", "np.geterr() to be unchanged after a run whose problem raises"),
+    (Threads, "leaves-no-trace", "every evaluation to come from the thread that called minimize"),
     (HashOrder, "new-process", "expected identical traces with the same seed in this process and in a new one"),
     (
         FixedSeed,
@@ -387,6 +393,7 @@ CAUGHT = [
 
 @pytest.mark.parametrize(("cls", "check", "message"), CAUGHT)
 def test_the_check_fails_with_the_reason(cls, check, message):
+    forget()
     (result,) = solver_checks(cls(), only=[check])
     assert not result.passed
     assert message in result.message

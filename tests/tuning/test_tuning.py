@@ -144,7 +144,7 @@ def test_scores_and_scenes_are_those_of_a_study(path, tmp_path):
 
     settings = [found.trials[0].options, found.best.options]
     lines = [
-        f'[[solver]]\nkind = "points"\nlabel = "{i}"\nwidth = 0.9\npoints = {options["points"]}\n'
+        f'[[solver]]\nkind = "points"\nlabel = "s{i}"\nwidth = 0.9\npoints = {options["points"]}\n'
         for i, options in enumerate(settings)
     ]
     text = STUDY.replace('[[solver]]\nkind = "sampler"\n', "".join(lines))
@@ -154,8 +154,8 @@ def test_scores_and_scenes_are_those_of_a_study(path, tmp_path):
     )
     runs = nfbench.run(load_study(longer), out=tmp_path / "longer", jobs=0).runs
     runs = runs[runs["formulation"] == "once"]
-    logs = [np.log10(runs[runs["solver"] == label]["rmse_m"].to_numpy()) for label in "01"]
-    repetition = runs[runs["solver"] == "0"]["repetition"].to_numpy()
+    logs = [np.log10(runs[runs["solver"] == label]["rmse_m"].to_numpy()) for label in ("s0", "s1")]
+    repetition = runs[runs["solver"] == "s0"]["repetition"].to_numpy()
     training, held_out = (
         (repetition >= 6) & (repetition < 9),
         repetition < 6,

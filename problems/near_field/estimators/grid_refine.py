@@ -17,12 +17,15 @@ from ..geometry import direction_derivatives
 from ..instance import NearFieldInstance
 from ..objectives import kernels
 from ..objectives.subspace_fitting import ESF
+from ..scenario import NearField
 from ..subspace import compress, signal_subspace
 from ..wavefronts import Manifold, Wavefront
+from .music import SLOW_S, search_s
 from .refinement import refine, resolution
 
 __all__ = ["GridRefine", "resolution_grid"]
 
+MANY = 10**8  # grid points that may not fit in memory
 SAMPLES = 61  # directions along each angle at which the beamwidth is computed
 
 
@@ -55,6 +58,19 @@ class GridRefine(Formulation):
     wavefront: Wavefront | None = None
     sources: Sources = "known"
     criterion: Criterion = "ne"
+
+    def warnings(self, scenario: NearField) -> list[str]:
+        counts = _grid_size(scenario.manifold(), *scenario.box(), self.density)
+        M, K, points = scenario.array.count, scenario.sources, math.prod(counts)
+        searches = 2 * K * (1 + min(self.sweeps, 2)) - 1  # one for the first source; two to exclude others
+        seconds = search_s(points, M, K) * searches
+        size = f"{' × '.join(map(str, counts))} points"
+        if points > MANY:
+            return [f"density: {self.density:g} gives a grid of about {size}, which may not fit in memory; reduce it"]
+        if seconds <= SLOW_S or self.density != type(self).density:
+            return []
+        text = f"density: the default, {self.density:g}, gives a grid of about {size}"
+        return [f"{text}, which takes about {seconds:,.0f} s per run with {M} elements and {K} sources; reduce it"]
 
     def solve(self, instance: NearFieldInstance, minimize: Minimize) -> Float[ndarray, "k d"]:
         """Return the sources (K, d) [rad, m]; raises Incompatible if there are fewer snapshots than sources."""
@@ -99,19 +115,40 @@ def resolution_grid(
     upper: upper bounds of one source [rad, m], shape (d,).
     density: number of grid points per beamwidth in each angle, and per depth of focus in inverse range.
     """
+    axes = []
+    for axis, beamwidths in _beamwidths(manifold, lower, upper):
+        axes.append(np.interp(_uniform(0.0, beamwidths[-1], density), beamwidths, axis))
+    depth = resolution(manifold)[1]
+    axes.append(1 / (_uniform(1 / upper[-1] / depth, 1 / lower[-1] / depth, density) * depth))
+    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(lower))
+
+
+def _beamwidths(
+    manifold: Manifold, lower: Float[ndarray, " d"], upper: Float[ndarray, " d"]
+) -> list[tuple[Float[ndarray, " samples"], Float[ndarray, " samples"]]]:
+    """Return, for each angle, samples of it [rad] and the number of beamwidths from the first of them to each."""
     angles = manifold.dimension - 1
     fine = [np.linspace(low, high, SAMPLES) for low, high in zip(lower[:angles], upper[:angles], strict=True)]
     directions = np.stack([*np.meshgrid(*fine, indexing="ij"), np.ones([SAMPLES] * angles)], axis=-1)
     slopes = direction_derivatives(directions.reshape(-1, angles + 1)) @ manifold.positions.T  # q_m·∂u [m/rad]
     beams = np.ptp(slopes, axis=-1).reshape(*[SAMPLES] * angles, angles) / manifold.wavelength_m  # [1/rad]
-    axes = []
+    found = []
     for i, axis in enumerate(fine):
         rate = beams[..., i].max(axis=tuple(j for j in range(angles) if j != i))
-        beamwidths = np.concatenate([[0.0], np.cumsum((rate[1:] + rate[:-1]) / 2 * np.diff(axis))])
-        axes.append(np.interp(_uniform(0.0, beamwidths[-1], density), beamwidths, axis))
-    depth = resolution(manifold)[1]
-    axes.append(1 / (_uniform(1 / upper[-1] / depth, 1 / lower[-1] / depth, density) * depth))
-    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, angles + 1)
+        found.append((axis, np.concatenate([[0.0], np.cumsum((rate[1:] + rate[:-1]) / 2 * np.diff(axis))])))
+    return found
+
+
+def _grid_size(
+    manifold: Manifold, lower: Float[ndarray, " d"], upper: Float[ndarray, " d"], density: float
+) -> list[int]:
+    """Return about how many points ``resolution_grid`` has along each side, from the outermost elements."""
+    Q = manifold.positions
+    outermost = np.unique(np.argmax(Q @ (np.indices((3, 3, 3)).reshape(3, -1) - 1), axis=0))
+    few = Manifold(Q[outermost], manifold.wavelength_m, manifold.wavefront, manifold.has_elevation)
+    extents = [beamwidths[-1] for _, beamwidths in _beamwidths(few, lower, upper)]
+    extents.append((1 / lower[-1] - 1 / upper[-1]) / resolution(manifold)[1])
+    return [max(math.ceil(extent * density), 1) + 1 for extent in extents]
 
 
 def _uniform(first: float, last: float, density: float) -> Float[ndarray, " n"]:

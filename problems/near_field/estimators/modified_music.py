@@ -15,9 +15,10 @@ from nfbench import Formulation, Incompatible, Instance, Minimize
 from ..enumeration import Criterion, Sources, how_many
 from ..instance import NearFieldInstance
 from ..objectives.rls import RLS
+from ..scenario import NearField
 from ..subspace import signal_subspace
 from ..wavefronts import Manifold, Wavefront
-from .music import Grid, grid_maxima
+from .music import SLOW_S, Grid, grid_maxima, search_s
 from .refinement import refine
 
 __all__ = ["ModifiedMusic"]
@@ -51,6 +52,15 @@ class ModifiedMusic(Formulation):
     wavefront: Wavefront | None = None
     sources: Sources = "known"
     criterion: Criterion = "ne"
+
+    def warnings(self, scenario: NearField) -> list[str]:
+        azimuths, ranges = self.grid.counts(2)
+        M, K = scenario.array.count, scenario.sources
+        seconds = search_s(azimuths, (M + 1) // 2, K) + search_s(ranges * K, M, K)
+        if seconds <= SLOW_S or not self.grid.has_defaults(2):
+            return []
+        text = f"grid: the default of {azimuths} azimuths and {ranges} ranges with {M} elements and {K} sources takes"
+        return [f"{text} about {seconds:,.0f} s per run; set grid to fewer points"]
 
     def solve(self, instance: NearFieldInstance, minimize: Minimize) -> Float[ndarray, "k d"]:
         """Return the sources (K, 2) [rad, m], the highest peak in angle first; fewer if there are fewer peaks.

@@ -11,17 +11,18 @@ from jaxtyping import Complex, Float
 from numpy import ndarray
 from scipy.ndimage import label, maximum_filter
 
-from nfbench import Formulation, Ge, Incompatible, Instance, Minimize, Options
+from nfbench import Formulation, Ge, Incompatible, Instance, Le, Minimize, Options
 
 from ..enumeration import Criterion, Sources, how_many
 from ..instance import NearFieldInstance
 from ..objectives import kernels
 from ..objectives.rls import RLS
+from ..scenario import NearField
 from ..subspace import compress, signal_subspace
 from ..wavefronts import Manifold, Wavefront
 from .refinement import refine
 
-__all__ = ["Grid", "Music", "grid_maxima", "pick_peaks"]
+__all__ = ["SLOW_S", "Grid", "Music", "grid_maxima", "pick_peaks", "search_s"]
 
 SAME_PEAK = 0.9999
 """The squared correlation |a₁ᴴa₂|²/M² above which two refined maxima are considered the same peak.
@@ -30,9 +31,13 @@ Local searches that end at the same peak agree to within 1e-6 of 1. Two sources 
 not form two peaks at any realistic SNR."""
 
 KEEP = 1000  # number of grid maxima kept; a ridge has about ten
+MAX_SLAB = 10**7  # grid points of one azimuth, which are held in memory
 BLOCK = 2**17  # grid points computed at once, or those of one azimuth if these are more
 
-_Points: TypeAlias = Annotated[int, Ge(2)] | None
+SLOW_S = 10.0  # time of a run [s] from which a default grid is worth a warning
+ELEMENT_S, ROW_S = 2.5e-9, 0.15e-9  # time per grid point and element, and per dimension of the subspace besides [s]
+
+_Points: TypeAlias = Annotated[int, Ge(2), Le(100_000)] | None
 
 
 @final
@@ -49,6 +54,21 @@ class Grid(Options):
     elevation: _Points = None
     range: _Points = None
 
+    def validate(self) -> None:
+        if (self.elevation or 1) * (self.range or 1) > MAX_SLAB:
+            text = f"{self.elevation} × {self.range}"
+            raise ValueError(f"elevation × range: expected at most {MAX_SLAB:,} grid points per azimuth, got {text}")
+
+    def counts(self, dimension: int) -> list[int]:
+        """Return the number of points along each side of a box of this dimension, 2 or 3."""
+        if dimension == 2:
+            return [self.azimuth or 400, self.range or 2000]
+        return [self.azimuth or 200, self.elevation or 200, self.range or 400]
+
+    def has_defaults(self, dimension: int) -> bool:
+        """Whether the number of points along any side of a box of this dimension is the default."""
+        return None in ([self.azimuth, self.range] if dimension == 2 else [self.azimuth, self.elevation, self.range])
+
     def axes(self, lower: Float[ndarray, " d"], upper: Float[ndarray, " d"]) -> list[Float[ndarray, " _"]]:
         """Return the coordinates along each side of a box [rad, m].
 
@@ -56,11 +76,7 @@ class Grid(Options):
         """
         if len(lower) == 2 and self.elevation is not None:
             raise Incompatible(f"grid.elevation: expected none without elevation_deg, got {self.elevation}")
-        if len(lower) == 2:
-            counts = [self.azimuth or 400, self.range or 2000]
-        else:
-            counts = [self.azimuth or 200, self.elevation or 200, self.range or 400]
-        return [np.linspace(*side) for side in zip(lower, upper, counts, strict=True)]
+        return [np.linspace(*side) for side in zip(lower, upper, self.counts(len(lower)), strict=True)]
 
 
 @final
@@ -91,6 +107,17 @@ class Music(Formulation):
     sources: Sources = "known"
     criterion: Criterion = "ne"
 
+    def warnings(self, scenario: NearField) -> list[str]:
+        d = 2 if scenario.elevation_deg is None else 3
+        counts = self.grid.counts(d)
+        seconds = search_s(math.prod(counts), scenario.array.count, scenario.sources)
+        if seconds <= SLOW_S or not self.grid.has_defaults(d):
+            return []
+        size = " × ".join(map(str, counts))
+        names = "azimuth and range" if d == 2 else "azimuth, elevation and range"
+        text = f"grid: the default of {size} points with {scenario.array.count} elements takes about {seconds:,.0f} s"
+        return [f"{text} per run; set grid to fewer points in {names}, or state these numbers if they are intended"]
+
     def solve(self, instance: NearFieldInstance, minimize: Minimize) -> Float[ndarray, "k d"]:
         """Return the sources (K, d) [rad, m], the highest peak first; fewer if the grid has fewer local maxima.
 
@@ -108,6 +135,11 @@ class Music(Formulation):
         spectrum = RLS(U_s, manifold, instance.lower, instance.upper)
         points, peaks = pick_peaks(spectrum, manifold, maxima, K)
         return peaks if self.refine else points
+
+
+def search_s(points: int, elements: int, sources: int) -> float:
+    """Return about how long a search of a grid takes [s], on one core of a machine of 2020."""
+    return points * elements * (ELEMENT_S + ROW_S * sources)
 
 
 def grid_maxima(

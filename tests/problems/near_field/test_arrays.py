@@ -124,7 +124,8 @@ def test_a_pickle_is_not_loaded(tmp_path):
         (Custom, {"origin": "first", "file": "no such file.csv"}, "no such file"),
         (Custom, {"origin": "first", "positions": [[0, 0, 0], [0, 0]]}, r"positions\[1\]"),
         (Custom, {"origin": "first", "positions": [[0, 0, 0], [0, 0, 0]]}, "expected distinct positions"),
-        (Custom, {"origin": "first", "positions": [[0, 0, 0], [0, math.nan, 0]]}, "finite"),
+        (Custom, {"origin": "first", "positions": [[0, 0, 0], [0, math.inf, 0]]}, "finite"),
+        (Custom, {"origin": "first", "positions": [[0, 0, 0], [0, math.nan, 0]]}, r"positions\[1\]\[1\]: .*got nan"),
     ],
 )
 def test_invalid_arrays_are_refused(cls, options, complaint):
@@ -137,3 +138,65 @@ def test_positions_and_file_exclude_each_other(tmp_path):
     path.write_text("0,0,0\n0,1,0\n")
     with pytest.raises(OptionError, match="got both"):
         Custom(origin="first", positions=((0.0, 0.0, 0.0), (0.0, 1.0, 0.0)), file=str(path))
+
+
+@pytest.mark.parametrize(
+    ("cls", "options", "complaint"),
+    [
+        (ULA, {"elements": 10**12, "spacing_wavelengths": 0.5, "origin": "first"}, "elements: .*100000, got 10000000"),
+        (UCA, {"elements": 10**6, "radius_wavelengths": 0.5, "origin": "first"}, "elements: .*100000, got 1000000"),
+        (UPA, {"columns": 10**5, "rows": 10**5, "spacing_wavelengths": 0.5, "origin": "first"}, "at most 100,000 .*"),
+        (ULA, {"elements": 8, "spacing_wavelengths": 1e9, "origin": "first"}, "spacing_wavelengths: .*got 1000000000"),
+        (Custom, {"origin": "first", "positions": [[0, 0, 0], [1e300, 0, 0]]}, r"within ±1e\+09 m, got 1e\+300 m"),
+        (Custom, {"origin": "first", "positions": [[0.0, 0.0, float(i)] for i in range(100_001)]}, "at most 100,000"),
+    ],
+)
+def test_an_array_that_is_too_large_is_refused_before_it_is_placed(cls, options, complaint, monkeypatch):
+    monkeypatch.setattr(cls, "place", lambda *_: pytest.fail("placed"))
+    with pytest.raises(OptionError, match=complaint):
+        build(cls, options)
+
+
+@pytest.mark.parametrize(
+    "array",
+    [
+        ULA(elements=5, spacing_wavelengths=0.3, origin="first"),
+        UPA(columns=3, rows=4, spacing_wavelengths=0.3, origin="first"),
+        UCA(elements=5, radius_wavelengths=1.0, origin="first"),
+        Custom(origin="first", positions=((1.0, 2.0, 3.0), (4.0, 5.0, 7.0), (0.0, 0.5, 0.0))),
+    ],
+    ids=lambda array: array.kind,
+)
+def test_the_number_of_elements_is_known_before_they_are_placed(array):
+    assert array.count == len(array.place(WAVELENGTH))
+
+
+def test_a_file_that_promises_more_than_it_holds_is_refused(tmp_path):
+    path = tmp_path / "elements.npy"
+    with path.open("wb") as file:
+        np.lib.format.write_array_header_1_0(file, {"descr": "<f8", "fortran_order": False, "shape": (10**12, 3)})
+        file.write(b"\0" * 48)
+    with pytest.raises(OptionError, match=r"file elements.npy: expected rows of three numbers, but reading it failed"):
+        Custom(origin="first", file=str(path))
+
+
+@pytest.mark.parametrize(
+    ("values", "complaint"),
+    [(np.eye(3) * 1j, "complex128, not real numbers"), (np.zeros((100_001, 3)), "100,001 rows, more than 100,000")],
+)
+def test_a_file_of_other_numbers_or_too_many_is_refused(tmp_path, values, complaint):
+    path = tmp_path / "elements.npy"
+    np.save(path, values)
+    with pytest.raises(OptionError, match=complaint):
+        Custom(origin="first", file=str(path))
+
+
+def test_a_large_file_is_refused_unread(tmp_path):
+    path = tmp_path / "elements.csv"
+    with path.open("wb") as file:
+        file.truncate(2**40)  # sparse
+    with pytest.raises(OptionError, match="it has more than 67,108,864 bytes"):
+        Custom(origin="first", file=str(path))
+    path.write_text("0,0,0\n" * 100_001)
+    with pytest.raises(OptionError, match="it has 100,001 rows, more than 100,000"):
+        Custom(origin="first", file=str(path))

@@ -7,6 +7,7 @@ import oracles
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
+from nfbench import OptionError
 from nfbench.problems.near_field.arrays import ULA, UPA, Custom
 from nfbench.problems.near_field.channels import IID, ClusterAroundSource, Clusters, Isotropic, complex_normal, rician
 from nfbench.problems.near_field.wavefronts import Manifold
@@ -193,3 +194,20 @@ def test_a_narrow_cluster_occupies_few_dimensions_and_iid_all():
     )
     assert np.linalg.eigvalsh(narrow)[-4:].sum() > 0.99 * 16
     assert np.linalg.eigvalsh(wide)[-4:].sum() == pytest.approx(4)
+
+
+@pytest.mark.parametrize(
+    ("cls", "options"),
+    [
+        (Clusters, {"clusters": 10**9}),
+        (Clusters, {"scatterers": 10**9}),
+        (Clusters, {"range_spread_m": 1e300}),
+        (Clusters, {"weights": (1e300, 1.0, 1.0)}),
+        (ClusterAroundSource, {"scatterers": 10**9}),
+        (ClusterAroundSource, {"range_spread_m": math.inf}),
+    ],
+)
+def test_numbers_that_no_memory_or_float_holds_are_refused(cls, options):
+    (name,) = options
+    with pytest.raises(OptionError, match=rf"{cls.__name__}: {name}.*: expected less than or equal to"):
+        cls(**options)

@@ -219,6 +219,43 @@ def test_invalid_options_are_refused_by_name(changes, complaint):
         scenario(**changes)
 
 
+@pytest.mark.parametrize(
+    ("changes", "path", "complaint"),
+    [
+        ({"snapshots": 10**9}, "snapshots", "less than or equal to 100000000, got 1000000000"),
+        ({"snapshots": 10**7}, "snapshots", "snapshots × elements = 10,000,000 × 32 = 320,000,000"),
+        ({"snapshots": 2 * 10**6, "fading": "snapshot"}, "snapshots", "× sources = 2,000,000 × 32 × 3 = 192,000,000"),
+        (
+            {"snapshots": 10**5, "fading": "snapshot", "nlos": {"kind": "clusters"}},
+            "snapshots",
+            "gains of the scattered",
+        ),
+        ({"nlos": {"kind": "clusters", "clusters": 3000}}, "nlos", "the scattered waves of 3 sources at 32 elements"),
+        ({"nlos": {"kind": "cluster-around-source", "scatterers": 10**6}}, "nlos.scatterers", "got 1000000"),
+        ({"nlos": {"kind": "isotropic"}, "array": MANIFEST["array"] | {"elements": 10**4}}, "nlos", "= 300,000,000"),
+        ({"sources": 10**6}, "sources", "less than or equal to 1000, got 1000000"),
+        ({"sources": 31, "min_separation_deg": 1.0, "snapshots": 10**8}, "snapshots", "= 3,200,000,000"),
+        ({"snr_db": [0.0, 1.0, 4000.0]}, "snr_db[2]", "less than or equal to 300, got 4000"),
+        ({"wavelength_m": 1e-300}, "wavelength_m", "got 1e-300"),
+        ({"range_m": [1.0, 1e300]}, "range_m", "expected an interval within [1e-09, 1e+09]"),
+        ({"gospa_cutoff_m": 1e308}, "gospa_cutoff_m", "got 1e+308"),
+    ],
+)
+def test_sizes_that_no_memory_holds_are_refused_before_anything_is_drawn(changes, path, complaint):
+    with pytest.raises(OptionError) as caught:
+        scenario(**changes)
+    assert [found for found, _ in caught.value.problems] == [path]
+    assert complaint in caught.value.problems[0][1]
+
+
+def test_the_number_of_scattered_waves_is_that_of_their_factors():
+    for kind in ("clusters", "cluster-around-source"):
+        near_field = scenario(nlos={"kind": kind, "scatterers": 7})
+        theta = draw().theta
+        F = near_field.nlos.factors(np.random.default_rng(0), near_field.manifold(), theta, *near_field.box())
+        assert near_field.nlos.numbers(3, 32) == F.size
+
+
 def test_all_errors_are_reported_at_once():
     with pytest.raises(OptionError) as caught:
         scenario(fading=None, sources=40, azimuth_deg=[5, 5], range_m=[-1, 2])
