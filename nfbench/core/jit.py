@@ -1,7 +1,7 @@
-"""Compiled functions of plugins: Numba's, kept on disk, loaded before any clock runs.
+"""Compiled functions of plugins: Numba's, kept on disk, loaded before any run is timed.
 
 They are compiled once per machine and kept where Numba keeps them: in NUMBA_CACHE_DIR if it is set, otherwise in
-``__pycache__`` beside their source, or in the user's cache folder where that is read-only. Numba's cache of a kernel
+``__pycache__`` next to their source, or in the user's cache folder if that is read-only. Numba's cache of a kernel
 notices a change of the file that the kernel stands in, but not of the kernels and constants that it imports. So a
 folder of its own is used for each state of all the sources, ``<module>.nfbench-<key>``. Of the folders of a module
 the few that were used last are kept.
@@ -14,6 +14,7 @@ import hashlib
 import importlib.resources
 import inspect
 import os
+import pickle
 import shutil
 import sys
 from collections.abc import Callable, Sequence
@@ -34,6 +35,7 @@ __all__ = ["compiled", "load_kernels"]
 _F = TypeVar("_F", bound=Callable[..., Any])
 
 _caching: Any = numba.core.caching  # it has types in some versions only
+_CHECKSUM = hashlib.sha256().digest_size
 _KEPT = 4  # folders per module, so that Python environments and types of processors may share a file system
 
 _REMEDY = "set NUMBA_CACHE_DIR to a writable folder, or reinstall numba and llvmlite"
@@ -75,7 +77,10 @@ def load_kernels(kernels: Sequence[tuple[Any, tuple[Any, ...]]], message: str) -
             if number == 0 and kernel.stats.cache_misses:
                 print(f"nfbench: {message} …", file=sys.stderr, flush=True)
     except (numba.core.errors.NumbaError, OSError, RuntimeError) as error:
-        raise NfbenchError(f"kernels: Numba {numba.__version__} cannot compile here: {error}; {_REMEDY}") from error
+        raise NfbenchError(
+            f"kernels: Numba {numba.__version__} cannot compile here: {error}; compiled code is kept in "
+            f"{getattr(kernel, '_cache', None) and kernel._cache.cache_path}; {_REMEDY}"
+        ) from error
 
 
 # ------------------------------------------------------------------------------------------------- the cache folder
@@ -123,8 +128,35 @@ class _CacheImpl(_caching.CompileResultCacheImpl):  # type: ignore[misc]
             self._locator = found
 
 
+class _CheckedFiles(_caching.IndexDataCacheFile):  # type: ignore[misc]
+    """Numba's files with a checksum: what is truncated or damaged counts as absent, and is compiled again."""
+
+    def _load_index(self) -> Any:
+        try:
+            return super()._load_index()
+        except Exception:
+            return {}
+
+    def _load_data(self, name: str) -> Any:
+        content = Path(self._data_path(name)).read_bytes()
+        checksum, data = content[:_CHECKSUM], content[_CHECKSUM:]
+        if hashlib.sha256(data).digest() != checksum:
+            raise OSError(f"{self._data_path(name)} is damaged")  # for Numba, as if the file had been removed
+        return pickle.loads(data)
+
+    def _save_data(self, name: str, data: Any) -> None:
+        dumped = self._dump(data)
+        with self._open_for_write(self._data_path(name)) as file:
+            file.write(hashlib.sha256(dumped).digest() + dumped)
+
+
 class _Cache(_caching.FunctionCache):  # type: ignore[misc]
     _impl_class = _CacheImpl
+
+    def __init__(self, function: Any) -> None:
+        super().__init__(function)
+        locator = self._impl.locator
+        self._cache_file = _CheckedFiles(self._cache_path, self._impl.filename_base, locator.get_source_stamp())
 
 
 def _key(function: FunctionType) -> str:

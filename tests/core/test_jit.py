@@ -211,3 +211,33 @@ def test_several_processes_may_start_at_once(tmp_path):
     assert [process.returncode for process in processes] == [0] * 3
     assert {output.split()[0] for output, _ in outputs} == {"5.0"}
     assert package.run()[:2] == (5.0, True)
+
+
+@pytest.mark.parametrize("damage", ["empty", "truncated", "flipped", "text"])
+@pytest.mark.parametrize("suffix", [".nbc", ".nbi"])
+def test_a_damaged_cache_is_compiled_again(tmp_path, suffix, damage):
+    package = one_package(tmp_path)
+    package.write(2.0)
+    _, _, folder = package.run()
+    for file in folder.glob(f"*{suffix}"):
+        content = bytearray(file.read_bytes())
+        content[len(content) // 2] ^= 0xFF
+        half = bytes(content[: len(content) // 2])
+        file.write_bytes({"empty": b"", "truncated": half, "flipped": bytes(content), "text": b"hello"}[damage])
+    value, loaded, _ = package.run()
+    assert value == 4.0 and not loaded
+    value, loaded, _ = package.run()
+    assert value == 4.0 and loaded
+
+
+def test_where_the_cache_cannot_be_written_again_the_folder_is_named(tmp_path):
+    package = one_package(tmp_path)
+    package.write(2.0)
+    _, _, folder = package.run()
+    for file in [*folder.glob("*.nbi")]:
+        file.unlink()
+        file.mkdir()
+        (file / "in-the-way").touch()
+    with pytest.raises(subprocess.CalledProcessError) as error:
+        package.run()
+    assert f"compiled code is kept in {folder}" in error.value.stderr
