@@ -176,13 +176,13 @@ def _table(part: Part, E: pd.DataFrame, summary: pd.DataFrame, reached: pd.DataF
         near = error[ok] <= OUTLIER * bound[ok]
         value = float(rms(error[ok]) / rms(bound[ok]))
         factor, low, high = ratio(error, theirs, rms)
-        told = " **better**" if high < 0.99 else " worse" if low > 1.01 else ""
+        verdict = " **better**" if high < 0.99 else " worse" if low > 1.01 else ""
         failed = f", {summary.failed[name]} failed" if summary.failed[name] else ""
         cells = [
             f"{_solver(name)}{failed}",
             share(int(near.sum()), int(ok.sum())),
             f"{value:.3g}",
-            "the paper's" if name == part.base else f"{factor:.2g} ({low:.2g} – {high:.2g}){told}",
+            "the paper's" if name == part.base else f"{factor:.2g} ({low:.2g} – {high:.2g}){verdict}",
         ]
         cost = math.inf
         if at_full and name in set(reached.method):
@@ -207,8 +207,8 @@ def _cost(reached: pd.DataFrame, name: str, base: str) -> tuple[float, str, str]
     if np.isinf(cost):
         return cost, "never", ""
     less, more = cost_ratio(own, theirs, "evaluations")
-    told = " **fewer**" if more < 0.99 else " more" if less > 1.01 else ""
-    shown = f"{cost:,.0f} ({low:,.0f} – {high:,.0f}){told}".replace("inf", "∞")
+    verdict = " **fewer**" if more < 0.99 else " more" if less > 1.01 else ""
+    shown = f"{cost:,.0f} ({low:,.0f} – {high:,.0f}){verdict}".replace("inf", "∞")
     seconds = f"{_seconds(reached, name) / _seconds(reached, base):.2g}"
     if name != base:
         less, more = cost_ratio(own, theirs, "seconds")
@@ -230,8 +230,8 @@ def _solver(name: str) -> str:
         return name
     if "algorithm" in method.solver.options:
         return f"{method.solver.kind} {method.solver.options['algorithm']}"
-    told = re.sub(r" @\d+$", "", name).partition(" + ")[2]
-    return f"{told}, refined" if "refined" in method.formulation.label else told
+    name = re.sub(r" @\d+$", "", name).partition(" + ")[2]
+    return f"{name}, refined" if "refined" in method.formulation.label else name
 
 
 # --- figure --------------------------------------------------------------------------------------------------------

@@ -113,7 +113,7 @@ def below(low: float, high: float, limit: float = 1.0) -> bool | None:
 
 
 def above(low: float, high: float, limit: float = 1.0) -> bool | None:
-    return None if (told := below(low, high, limit)) is None else not told
+    return None if (is_below := below(low, high, limit)) is None else not is_below
 
 
 def alike(low: float, high: float, factor: float = 1.25) -> bool | None:
@@ -162,8 +162,8 @@ def across(
             last, first = (scenes[column == value][method].to_numpy() for value in (end, start))
             for kind in kinds:
                 value, low, high = ratio(last, first, STATISTICS[kind], paired=False)
-                told = ", ".join(filter(None, [kind, method, condition]))
-                found.append(Evidence(told, value, low, high, judge(low, high)))
+                label = ", ".join(filter(None, [kind, method, condition]))
+                found.append(Evidence(label, value, low, high, judge(low, high)))
     return found
 
 

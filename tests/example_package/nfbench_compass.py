@@ -14,7 +14,8 @@ __all__ = ["Compass"]
 class Compass(AskTellSolver):
     """Compass search from random points: a step each way along each axis, halved where none is better.
 
-    step: the first step, as a fraction of the box's width. least_step: below this it starts anew.
+    step: initial step size, as a fraction of the width of the box.
+    least_step: step size below which the search restarts.
     """
 
     info: ClassVar[SolverInfo] = SolverInfo(batched=True, reference="Kolda, Lewis & Torczon 2003")
