@@ -132,6 +132,7 @@ def _receive(pipe: Connection, process: BaseProcess, seconds: float) -> Any:
 
 def _serve(pipe: Connection, alive: Connection, parent: int, job: Job, checks: list[str]) -> None:
     os.setsid()  # so that processes started by a check are killed together with this one
+    end_group_at_eof(os.dup(alive.fileno()))
     alive.close()
     die_with_parent(parent)
     try:
