@@ -123,8 +123,8 @@ def _write_environment(folder: Path, environment: dict[str, Any], jobs: int | st
     """Write ``environment.json``: this session, with the previous ones under ``earlier``."""
     path = folder / "environment.json"
     earlier = []
-    with contextlib.suppress(OSError, ValueError):  # missing or not valid: this session is written anyway
-        before = json.loads(path.read_text(encoding="utf-8"))
+    with contextlib.suppress(OSError, ValueError, TypeError, AttributeError, RecursionError):  # missing or not valid:
+        before = json.loads(path.read_text(encoding="utf-8"))  # this session is written anyway
         earlier = [*before.pop("earlier", []), before]
     times = {"started": started.isoformat(), "ended": datetime.now(UTC).isoformat()}
     text = json.dumps({**environment, "jobs": jobs, **times, "earlier": earlier}, indent=2) + "\n"

@@ -108,14 +108,14 @@ class Trials:
     def _checked(self) -> str:
         """The version of Optuna with which the stored tuning was started; empty if there is no tuning yet."""
         path = self.folder / IDENTITY
-        if not path.exists():
+        if not _is_file(path):
             if found := [name for name in (TABLE, TUNED) if (self.folder / name).exists()]:
                 raise StoreError(f"{self.folder} has {' and '.join(found)} but no {IDENTITY}; {ADVICE}")
             return ""
         try:
             found = json.loads(path.read_text(encoding="utf-8"))
             stored, written_with = found["tuning"], str(found["optuna"])
-        except (ValueError, TypeError, KeyError) as error:
+        except (ValueError, TypeError, KeyError, RecursionError) as error:
             raise StoreError(f"{path} cannot be read: {error}; {ADVICE}") from error
         if differing := list(_differences(stored, self.identity)):
             raise StoreError(f"{self.folder} belongs to another tuning: {'; '.join(differing)}; {ADVICE}")
@@ -124,7 +124,7 @@ class Trials:
     def _read(self) -> tuple[list[list[str]], int]:
         """The complete rows, and the size of the file up to their end [bytes]."""
         path = self.folder / TABLE
-        data = path.read_bytes() if path.exists() else b""
+        data = path.read_bytes() if _is_file(path) else b""
         data = data[: data.rfind(b"\n") + 1]
         try:
             header, *rows = [*csv.reader(io.StringIO(data.decode(), newline=""), strict=True)] or [self._header]
@@ -137,6 +137,13 @@ class Trials:
         except (ValueError, csv.Error) as error:
             raise StoreError(f"{path} cannot be read: {error}; {ADVICE}") from error
         return rows, len(data) if rows else 0
+
+
+def _is_file(path: Path) -> bool:
+    """Whether there is a file. Raises StoreError if there is something else, such as a folder or a pipe."""
+    if path.exists() and not path.is_file():
+        raise StoreError(f"{path}: expected a file, found something else; {ADVICE}")
+    return path.exists()
 
 
 def _differences(stored: Any, expected: Any, path: str = "") -> Iterator[str]:

@@ -204,9 +204,9 @@ def test_a_folder_that_cannot_be_created_is_an_error(manifest, tmp_path):
 
 
 def test_a_disk_that_fills_up_loses_no_finished_row(manifest, tmp_path, monkeypatch):
-    from nfbench.results import store
+    from nfbench.results import rows
 
-    real, calls = store._packed, []
+    real, calls = rows.packed, []
 
     def full(traces):
         calls.append(1)
@@ -214,7 +214,7 @@ def test_a_disk_that_fills_up_loses_no_finished_row(manifest, tmp_path, monkeypa
             raise sqlite3.OperationalError("database or disk is full")
         return real(traces)
 
-    monkeypatch.setattr(store, "_packed", full)
+    monkeypatch.setattr(rows, "packed", full)
     with pytest.raises((StoreError, sqlite3.OperationalError), match="disk is full"):
         run(manifest(BASIC), tmp_path / "out")
     monkeypatch.undo()

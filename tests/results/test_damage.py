@@ -40,13 +40,6 @@ REMEDIES = (
     "nfbench merge|nfbench run|--fresh|--out|--plugin|update nfbench|run the command again|fix that|report this|"
     "nothing to draw|no run has finished yet|no finished run can be exported|different studies"
 )
-REFUSES_TO_RUN = {  # kinds that concern only `run`, which execution.run_study handles
-    "environment is a list",
-    "environment is nested deeply",
-    "earlier environments are a number",
-}
-
-
 @pytest.fixture(scope="module")
 def made(tmp_path_factory, request):
     """The manifest and results folder of a small study, which no test changes."""
@@ -104,8 +97,6 @@ def test_there_are_many_kinds_of_damage():
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_command_ends_well_in_a_damaged_folder(kind, made, damaged, tmp_path, monkeypatch, capfd):
     for name in commands("", made, tmp_path):
-        if name == "run" and kind in REFUSES_TO_RUN:
-            continue
         folder = damaged(KINDS[kind])
         arguments = commands(folder, made, tmp_path / f"out-{name}")[name]
         code, text = command(monkeypatch, capfd, *arguments)

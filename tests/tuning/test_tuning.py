@@ -504,3 +504,13 @@ def test_the_command_writes_a_table_to_paste(path, tmp_path):
     table = pd.read_csv(out / "trials.csv")
     best = table.loc[table["score"].idxmin()]
     assert (options["points"], options["width"], options["mode"]) == (best["points"], best["width"], "fine")
+
+
+@pytest.mark.parametrize("name", ["tuning.json", "trials.csv"])
+@pytest.mark.parametrize("make", [os.mkfifo, os.mkdir], ids=["pipe", "folder"])
+def test_what_is_in_the_place_of_a_file_is_named(path, tmp_path, name, make):
+    out = tmp_path / "out"
+    out.mkdir()
+    make(out / name)
+    with pytest.raises(StoreError, match=rf"{name}: expected a file, found something else|has {name} but no"):
+        tune(load_study(path), plan(trials=2), out)
