@@ -40,6 +40,8 @@ REMEDIES = (
     "nfbench merge|nfbench run|--fresh|--out|--plugin|update nfbench|run the command again|fix that|report this|"
     "nothing to draw|no run has finished yet|no finished run can be exported|different studies"
 )
+
+
 @pytest.fixture(scope="module")
 def made(tmp_path_factory, request):
     """The manifest and results folder of a small study, which no test changes."""
