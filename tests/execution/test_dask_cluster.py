@@ -278,7 +278,10 @@ def test_another_version_on_the_cluster_is_refused(dask, manifest, tmp_path, mon
 
 
 def test_a_machine_that_cannot_execute_runs_is_named(dask, manifest, tmp_path):
-    dies = "import os\nif 'dask' in __file__:\n    os._exit(3)\n" + REPORTS_PATH
+    dies = (  # passes the first import, which is a trial in a child process, and ends the worker at the second
+        "import os\nfrom pathlib import Path\nseen = Path(__file__).with_suffix('.seen')\nif 'dask' in __file__:\n"
+        "    if seen.exists():\n        seen.unlink()\n        os._exit(3)\n    seen.touch()\n" + REPORTS_PATH
+    )
     (tmp_path / "dies.py").write_text(dies)
     with pytest.raises(
         NfbenchError, match=r"worker tcp://\S+ on \S+ cannot execute runs: worker processes cannot start"
