@@ -17,7 +17,8 @@ STUDIES = sorted((PROJECT / "studies").rglob("*.toml"))
 def test_the_studies_have_no_warnings(path):
     if path.stem == "bbob" and not importlib.util.find_spec("cocoex"):
         pytest.skip("needs COCO")
-    assert load_study(path).warnings == ()
+    missing = "which is not installed here"  # of an optional library in a group
+    assert [text for text in load_study(path).warnings if missing not in text] == []
 
 
 def test_the_manifests_of_the_readme_have_no_warnings(tmp_path):
