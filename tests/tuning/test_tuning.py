@@ -506,6 +506,7 @@ def test_the_command_writes_a_table_to_paste(path, tmp_path):
     assert (options["points"], options["width"], options["mode"]) == (best["points"], best["width"], "fine")
 
 
+@needs_optuna
 @pytest.mark.parametrize("name", ["tuning.json", "trials.csv"])
 @pytest.mark.parametrize("make", [os.mkfifo, os.mkdir], ids=["pipe", "folder"])
 def test_what_is_in_the_place_of_a_file_is_named(path, tmp_path, name, make):
