@@ -21,11 +21,10 @@ sys.path[:0] = [str(DOCS / "_extensions"), str(DOCS)]
 
 pytest.importorskip("sphinx", reason="the extra docs")
 
+import build  # noqa: E402
 import column_tables  # noqa: E402
 import docstrings  # noqa: E402
 import option_tables  # noqa: E402
-
-import build  # noqa: E402
 
 CLASSES = dict(option_tables.option_classes())
 
