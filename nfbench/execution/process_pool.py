@@ -22,7 +22,7 @@ from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Self
 
-from nfbench.core import NfbenchError, Status
+from nfbench.core import NfbenchError, Status, cause_of_end
 from nfbench.study import RunRecord, RunSpec
 
 from .scratch import ScratchFolder
@@ -206,7 +206,7 @@ class ProcessPool:
         """The worker has died, or has closed its pipe and is killed: its run ends as crashed."""
         worker.process.join(CLOSING_S)
         output = last_output(str(self._folder.path), worker.process.pid)
-        cause = f"its process died: {_cause(worker.process.exitcode)}{f': {output}' if output else ''}"
+        cause = f"its process died: {cause_of_end(worker.process.exitcode)}{f': {output}' if output else ''}"
         self._fail_worker(worker, Status.CRASHED, cause)
 
     def _fail_worker(self, worker: _Worker, status: Status, message: str, runtime_s: float = math.nan) -> None:
@@ -255,13 +255,3 @@ def _exit_descriptor(process: BaseProcess) -> int:
         return os.pidfd_open(process.pid)
     except OSError:
         return -1
-
-
-def _cause(exitcode: int | None) -> str:
-    if exitcode is None or exitcode >= 0:
-        return f"exit code {exitcode}"
-    try:
-        name = signal.Signals(-exitcode).name
-    except ValueError:  # a real-time signal has a number only
-        name = f"SIGRTMIN+{-exitcode - signal.SIGRTMIN}"
-    return f"signal {-exitcode} ({name})"
