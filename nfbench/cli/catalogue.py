@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import inspect
+import io
 import math
 import re
 import typing
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 from rich.console import Console
@@ -28,7 +30,7 @@ from nfbench.core import (
     printable,
     suggest,
 )
-from nfbench.plugins import GROUPS, Registry
+from nfbench.plugins import GROUPS, Plugin, Registry, rehearse
 
 __all__ = ["Filter", "print_catalogue", "print_plugin"]
 
@@ -76,19 +78,18 @@ def print_catalogue(registry: Registry, kinds: Iterable[str], console: Console, 
         for name in registry.names(kind):
             plugin = registry.find(kind, name)
             try:
-                cls = plugin.resolve()
-                missing = plugin.missing()
-                cells = [_text(cell) for cell in _row(kind, cls, missing)]
-                if issubclass(cls, Solver) and not chosen.admits(cls.info):
-                    continue
-                if missing and not chosen.uninstalled:
-                    hidden.append(name)
-                    continue
-                if issubclass(cls, Solver) and not missing and (broken := cls.unusable()):
-                    notes.append(f"{name}: {len(broken)} algorithms do not work here (nfbench show solver {name})")
+                _try_first(plugin, functools.partial(_Entry.of, plugin, chosen))
+                entry = _Entry.of(plugin, chosen)
             except Exception as error:  # of the plugin: its row says why
-                cells = [_text(_reason(error), "red")]
-            table.add_row(_text(name), *cells)
+                entry = _Entry([_text(_reason(error), "red")])
+            if not entry.admitted:
+                continue
+            if entry.missing and not chosen.uninstalled:
+                hidden.append(name)
+                continue
+            if entry.broken:
+                notes.append(f"{name}: {entry.broken} algorithms do not work here (nfbench show solver {name})")
+            table.add_row(_text(name), *entry.cells)
         console.print(table)
         if hidden:
             notes.insert(0, f"Not installed: {', '.join(hidden)} (nfbench list {kind}s --all)")
@@ -98,14 +99,50 @@ def print_catalogue(registry: Registry, kinds: Iterable[str], console: Console, 
         console.print(_text(f"{file.name} could not be imported: {why}", "red"))
 
 
+@dataclasses.dataclass(frozen=True)
+class _Entry:
+    """What the catalogue shows of one plugin.
+
+    cells: its row, without the name.
+    admitted: whether the filter admits it.
+    missing: which libraries it needs that are not installed; None if there are none.
+    broken: number of the algorithms of a library that do not work here.
+    """
+
+    cells: list[Text]
+    admitted: bool = True
+    missing: str | None = None
+    broken: int = 0
+
+    @classmethod
+    def of(cls, plugin: Plugin, chosen: Filter) -> _Entry:
+        """Read what is shown from the class of a plugin. Raises what the class raises."""
+        found = plugin.resolve()
+        missing = plugin.missing()
+        cells = [_text(cell) for cell in _row(plugin.kind, found, missing)]
+        if not issubclass(found, Solver):
+            return cls(cells, missing=missing)
+        admitted = chosen.admits(found.info)
+        return cls(cells, admitted, missing, len(found.unusable()) if admitted and not missing else 0)
+
+
 def print_plugin(registry: Registry, kind: str, name: str, console: Console) -> None:
     """Print a plugin's docstring, and each option with type and default. Raises PluginError if it is unknown."""
-    plugin = registry.find(kind, name)
-    cls = plugin.resolve()
-    console.print(Text.assemble((printable(f"{kind} {name}"), "bold"), f" ({printable(plugin.origin)})\n"))
-    for line in _doc(cls).split("\n"):
-        console.print(_text(line))
     try:
+        plugin = registry.find(kind, name)
+    except PluginError as error:
+        broken = [f"plugin {file.name} could not be imported: {why}" for file, why in registry.broken.items()]
+        raise PluginError("; ".join([str(error), *broken])) from error
+    _try_first(plugin, lambda: _print_plugin(plugin, Console(file=io.StringIO())))
+    _print_plugin(plugin, console)
+
+
+def _print_plugin(plugin: Plugin, console: Console) -> None:
+    kind, name, cls = plugin.kind, plugin.name, plugin.resolve()
+    console.print(Text.assemble((printable(f"{kind} {name}"), "bold"), f" ({printable(plugin.origin)})\n"))
+    try:
+        for line in _doc(cls).split("\n"):
+            console.print(_text(line))
         missing = plugin.missing()
         if issubclass(cls, Solver):
             _print_solver(cls, bool(missing), console)
@@ -116,6 +153,25 @@ def print_plugin(registry: Registry, kind: str, name: str, console: Console) -> 
         raise
     except Exception as error:
         raise PluginError(f"{kind} {name} cannot be described: {explain(error)}") from error
+
+
+def _try_first(plugin: Plugin, describe: Callable[[], object]) -> None:
+    """Describe a plugin of a file in a child process first. Raises PluginError if that does not end as it should."""
+    if not plugin.foreign:
+        return
+
+    def described() -> str:
+        try:
+            describe()
+        except MemoryError:
+            raise
+        except Exception:  # which is reported by this process, too
+            return ""
+        return ""
+
+    advice = "slow code, and code that may end the process, belongs in minimize, draw or solve"
+    if reason := rehearse(described, "described", advice):
+        raise PluginError(f"{plugin.kind} {plugin.name} of {plugin.origin} cannot be described: {reason}")
 
 
 def _print_solver(cls: type[Solver], missing: bool, console: Console) -> None:

@@ -24,10 +24,11 @@ __all__ = [
     "app",
     "output",
     "parsed_option",
+    "say",
     "warn",
 ]
 
-app = typer.Typer(no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False)
+app = typer.Typer(no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
 
 OK, NOT_ALL_OK, USAGE, INTERRUPTED = 0, 1, 2, 130
 
@@ -51,6 +52,11 @@ def output() -> Console:
     """A console on standard output, as wide as the terminal, or wide enough for our tables in a file or pipe."""
     console = Console(highlight=False)
     return console if console.is_terminal or "COLUMNS" in os.environ else Console(highlight=False, width=110)
+
+
+def say(text: object, *, error: bool = False) -> None:
+    """Print a line on standard output or error as it is, but without the control characters of a file or plugin."""
+    typer.echo(printable(text, limit=2**16), err=error)
 
 
 def warn(text: str) -> None:

@@ -10,11 +10,13 @@ import typer
 
 from nfbench.core import NfbenchError
 
-from .common import NOT_ALL_OK, OK, GivenOptions, Plugins, app, output, parsed_option
+from .common import NOT_ALL_OK, OK, GivenOptions, Plugins, app, output, parsed_option, say
 
-check_app = typer.Typer(no_args_is_help=True, help="Run the conformance checks on a plugin.")
+check_app = typer.Typer(no_args_is_help=True, rich_markup_mode=None, help="Run the conformance checks on a plugin.")
 app.add_typer(check_app, name="check")
-new_app = typer.Typer(no_args_is_help=True, help="Write a working plugin file as a starting point for your own.")
+new_app = typer.Typer(
+    no_args_is_help=True, rich_markup_mode=None, help="Write a working plugin file as a starting point for your own."
+)
 app.add_typer(new_app, name="new")
 
 Timeout = Annotated[float, typer.Option(min=0.1, help="Time limit for each check, in seconds.")]
@@ -142,14 +144,14 @@ def _check(kind: str, name: str, plugin: list[Path] | None, given: list[str] | N
         raise NfbenchError(f"{error}{hint}") from error
     passed = True
     for job in jobs:
-        typer.echo(job.name)
+        say(job.name)
         first: dict[str, str] = {}  # the first check with each message
         for result in watched_checks(job, timeout):
             passed &= result.passed
             where = first.setdefault(result.message, result.name)
             text = result.message if where == result.name or result.passed else f"the same as in {where}"
             text = f"{': ' if text else ''}{text}"
-            typer.echo(f"  {'ok  ' if result.passed else 'FAIL'} {result.name}{text}")
+            say(f"  {'ok  ' if result.passed else 'FAIL'} {result.name}{text}")
     raise typer.Exit(OK if passed else NOT_ALL_OK)
 
 

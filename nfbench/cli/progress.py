@@ -10,11 +10,10 @@ from typing import Self
 
 from rich.console import Console, Group
 from rich.live import Live
-from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.text import Text
 
-from nfbench.core import Status
+from nfbench.core import Status, printable
 from nfbench.study import RunRecord, RunSpec
 
 __all__ = ["Lines", "LiveView", "Quiet"]
@@ -65,7 +64,7 @@ class _Tally:
         """The methods with the lowest error, over all scenario points of this session."""
         means = {method: math.sqrt(total / count) for method, (total, count) in self._squares.items()}
         best = sorted(means, key=means.__getitem__)[:LEADERS]
-        return ", ".join(f"{method} {means[method]:.3g}" for method in best)
+        return printable(", ".join(f"{method} {means[method]:.3g}" for method in best))
 
 
 class LiveView:
@@ -83,7 +82,7 @@ class LiveView:
             console=console,
         )
         self._tally = _Tally(error)
-        self._name = error
+        self._name = printable(error)
         self._note = Text()
         self._live = Live(Group(self._bar, self._note), console=console, refresh_per_second=4)
         self._done = 0
@@ -108,7 +107,7 @@ class LiveView:
         )
 
     def stopping(self) -> None:
-        self._bar.update(self._task, description=escape(STOPPING))
+        self._bar.update(self._task, description=STOPPING)
 
     def __enter__(self) -> Self:
         self._live.start()

@@ -6,14 +6,14 @@ import contextlib
 from collections.abc import Iterator
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 import typer
 
 from nfbench.core import NfbenchError, StoreError, explain, printable
 
-from .common import NOT_ALL_OK, OK, Folder, Plugins, app, output, warn
+from .common import NOT_ALL_OK, OK, Folder, Plugins, app, output, say, warn
 
 
 class Width(StrEnum):
@@ -30,11 +30,47 @@ class Metric(StrEnum):
     MEDIAN = "median"
 
 
+class CostAxis(StrEnum):
+    """The units of cost in figures about targets."""
+
+    EVALUATIONS = "evaluations"
+    SECONDS = "seconds"
+    EQUIVALENTS = "equivalents"
+
+
+_AXES: dict[CostAxis, Literal["evaluations", "seconds", "evaluation_equivalents"]] = {
+    CostAxis.EVALUATIONS: "evaluations",
+    CostAxis.SECONDS: "seconds",
+    CostAxis.EQUIVALENTS: "evaluation_equivalents",
+}
+
+
 class Target(StrEnum):
     """The formats that ``nfbench export`` can write."""
 
     IOH = "ioh"
+    COCO = "coco"
     CSV = "csv"
+    PARQUET = "parquet"
+
+
+Only = Annotated[
+    str | None,
+    typer.Option(
+        metavar="KIND[,KIND]",
+        help="Only these figures: error, runtime, distribution, ert, ranks, tradeoff, attainment, convergence, "
+        "positions (default: those that suit the study).",
+    ),
+]
+OneTarget = Annotated[
+    str | None,
+    typer.Option(help="Target of ert and distribution: its number, from 1, or label (default: the first, and all)."),
+]
+Cost = Annotated[CostAxis | None, typer.Option(help="Cost in figures about targets (default: evaluations).")]
+Labels = Annotated[
+    list[str] | None,
+    typer.Option(metavar="LABEL", help="Method to show in colour besides the best ones; repeatable."),
+]
 
 
 @contextlib.contextmanager
@@ -76,9 +112,9 @@ def merge(
         counts = results.counts
         total = sum(counts.values())
         number = f"{len(folders)} folder{'s' if len(folders) > 1 else ''}"
-        typer.echo(f"{out}: {total - counts.get('open', 0)} of {total} runs done, merged from {number}")
+        say(f"{out}: {total - counts.get('open', 0)} of {total} runs done, merged from {number}")
         if counts.get("open") and not unread and (missing := missing_shards(results)):
-            typer.echo(f"missing shards: {', '.join(missing[:10])}{' …' if len(missing) > 10 else ''}")
+            say(f"missing shards: {', '.join(missing[:10])}{' …' if len(missing) > 10 else ''}")
     raise typer.Exit(NOT_ALL_OK if unread else OK)
 
 
@@ -128,39 +164,64 @@ def figure(
     positions: Annotated[
         bool | None, typer.Option(help="Draw true and estimated positions (default: only if the study is small).")
     ] = None,
-    traces: Annotated[bool, typer.Option("--traces", help="Also draw the objective against evaluations.")] = False,
+    traces: Annotated[bool, typer.Option("--traces", help="Also draw the gap against evaluations.")] = False,
+    only: Only = None,
+    target: OneTarget = None,
+    axis: Cost = None,
+    methods: Labels = None,
     manifest: Annotated[
         Path | None, typer.Option(help="Manifest with the scenario of the positions (default: DIR/manifest.toml).")
     ] = None,
     plugin: Plugins = None,
 ) -> None:
-    """Draw a study's figures: error against the swept values, run time against error, positions, convergence."""
-    from nfbench.figures import FORMATS, Drawing, write_figures
+    """Draw a study's figures: errors, run times, runtime distributions, rankings, convergence and positions."""
+    from nfbench.figures import FORMATS, KINDS, Drawing, write_figures
     from nfbench.results import Results
 
     kinds = list(dict.fromkeys(kind.strip() for kind in formats.split(",")))
     unknown = [kind for kind in kinds if kind not in FORMATS]
     if unknown:
         raise typer.BadParameter(f"expected {', '.join(FORMATS)}, got {unknown[0]!r}", param_hint="--format")
+    chosen = [kind.strip() for kind in only.split(",")] if only else []
+    if unknown := [kind for kind in chosen if kind not in KINDS]:
+        raise typer.BadParameter(f"expected some of {', '.join(KINDS)}, got {unknown[0]!r}", param_hint="--only")
     how = Drawing(
-        width.value, metric.value if metric else None, title, positions, traces, manifest, tuple(plugin or ())
+        width.value,
+        metric.value if metric else None,
+        title,
+        positions,
+        traces,
+        manifest,
+        tuple(plugin or ()),
+        tuple(kind for kind in KINDS if kind in chosen),
+        target,
+        None if axis is None else _AXES[axis],
+        tuple(methods or ()),
     )
     with _explained(folder):
         for path in write_figures(Results(folder), out or folder, kinds, how, warn):
-            typer.echo(path)
+            say(path)
 
 
 @app.command()
 def export(
     folder: Folder,
-    to: Annotated[Target, typer.Option(help="Format: IOHprofiler's data format, or a CSV table.")],
+    to: Annotated[
+        Target, typer.Option(help="Format: IOHprofiler's or COCO's data format, a CSV table, or Parquet files.")
+    ],
     out: Annotated[
-        Path | None, typer.Option(metavar="PATH", help="Path to write (default: export-ioh/ or traces.csv in DIR).")
+        Path | None,
+        typer.Option(metavar="PATH", help="Path to write (default: export-FORMAT/ in DIR, or DIR/traces.csv)."),
     ] = None,
 ) -> None:
-    """Export the traces of a study's runs (objective against evaluations) for other tools."""
-    from nfbench.results import Results, export_csv, export_ioh
+    """Export the traces of a study's runs for other tools: how the objective, or its gap to the optimum, fell."""
+    from nfbench.results import Results, export_coco, export_csv, export_ioh, export_parquet
 
-    write = {Target.IOH: export_ioh, Target.CSV: export_csv}[to]
+    write = {
+        Target.IOH: export_ioh,
+        Target.COCO: export_coco,
+        Target.CSV: export_csv,
+        Target.PARQUET: export_parquet,
+    }[to]
     with _explained(folder):
-        typer.echo(write(Results(folder), out))
+        say(write(Results(folder), out))

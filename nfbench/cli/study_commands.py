@@ -11,7 +11,7 @@ from nfbench.core import Status, StoreError
 from nfbench.results import Results
 from nfbench.study import Study
 
-from .common import INTERRUPTED, NOT_ALL_OK, OK, USAGE, Folder, Jobs, Plugins, app, output, warn
+from .common import INTERRUPTED, NOT_ALL_OK, OK, USAGE, Folder, Jobs, Plugins, app, output, say, warn
 
 CONFIRM = 1_000_000  # runs from which ``--yes`` is required
 BARE_BYTES, TRACED_BYTES, ROWS_PER_S = 278, 6 * 1024, 4000  # of a row, as measured: see the README
@@ -55,7 +55,7 @@ def run(
     _announce(loaded, part, yes)
 
     from nfbench.execution import run as run_study  # only now, as a message about the manifest must not wait for them
-    from nfbench.report import print_report
+    from nfbench.report import print_report, shown
 
     from .progress import Lines, LiveView, Quiet
 
@@ -79,11 +79,13 @@ def run(
         raise typer.Exit(INTERRUPTED) from None
     if quiet:
         for status_, method, count, message in results.failures:
-            typer.echo(f"nfbench: {status_} × {count}: {method}: {message}", err=True)
+            say(f"nfbench: {status_} × {count}: {method}: {message}", error=True)
     else:
         print_report(results, console)
-        names = ("runs.csv", "summary.csv", "environment.json", "runs.sqlite")
-        console.print(f"\nWritten to {folder}/: {', '.join(names)}", soft_wrap=True)
+        tables = ("runs.csv", "summary.csv", "targets.csv", "ranking.csv", "claims.csv")
+        names = [*(name for name in tables if (folder / name).is_file()), "environment.json", "runs.sqlite"]
+        console.print()
+        console.print(shown(f"Written to {folder}/: {', '.join(names)}"), soft_wrap=True)
     raise typer.Exit(OK if set(results.counts) <= {Status.OK} else NOT_ALL_OK)
 
 
@@ -92,7 +94,7 @@ def _announce(study: Study, shard: tuple[int, int] | None, yes: bool) -> None:
     for warning in study.warnings:
         warn(warning)
     if len(study) > CONFIRM and not yes:
-        typer.echo(f"nfbench: {study.name}: {_cost(len(study), shard)}", err=True)
+        say(f"nfbench: {study.name}: {_cost(len(study), shard)}", error=True)
         raise typer.Exit(USAGE)
 
 
@@ -102,7 +104,7 @@ def _cost(runs: int, shard: tuple[int, int] | None) -> str:
     of = f", of which this shard has about {part:,}" if shard else ""
     disk = f"{_bytes(part * BARE_BYTES)} of disk for the bare rows, or {_bytes(part * TRACED_BYTES)} with traces"
     time = f"{_duration(part / ROWS_PER_S)} at {ROWS_PER_S:,} rows a second at best"
-    hint = "Add --yes to start it, or reduce repetitions, [sweep] or the number of methods."
+    hint = "Add --yes to start it, or reduce scenes, [sweep] or the number of methods."
     return f"the study has {runs:,} runs{of}. They take {disk}, and {time}. {hint}"
 
 
@@ -168,4 +170,4 @@ def status(folder: Folder) -> None:
         if name in counts:
             typer.echo(f"{name:>8} {counts[name]}")
     for status_, method, count, message in results.failures:
-        typer.echo(f"{status_} × {count}: {method}: {message}")
+        say(f"{status_} × {count}: {method}: {message}")

@@ -27,7 +27,7 @@ from typing import Annotated, Any, TypeVar, final
 from annotated_types import Ge, Gt, Le, Lt
 from pydantic import AfterValidator, ConfigDict, PlainValidator, TypeAdapter, ValidationError
 
-from .errors import OptionError
+from .errors import NfbenchError, OptionError, PluginError, explain
 
 __all__ = [
     "FilePath",
@@ -285,6 +285,10 @@ def _checked(cls: type[Options], name: str, value: Any) -> tuple[Any, list[tuple
         return _adapters(cls)[name].validate_python(value), []
     except ValidationError as error:
         return value, _explain(name, error)
+    except (NfbenchError, MemoryError):
+        raise
+    except Exception as error:  # of a validator in the annotation, which raises anything but ValueError
+        raise PluginError(f"{cls.__name__}: {name}: the check of this option failed: {explain(error)}") from error
 
 
 def _frozen(value: Any, path: str, depth: int = 0) -> tuple[Any, list[tuple[str, str]]]:

@@ -16,7 +16,10 @@ def printable(text: object, limit: int = MESSAGE_BYTES) -> str:
     Line breaks and tabs become blanks, other control characters their escape (``\\x1b``), and lone surrogates a
     question mark. A text that is too long ends in an ellipsis.
     """
-    line = "".join(map(_printable_character, str(text).encode("utf-8", "replace").decode("utf-8")))
+    text = str(text)
+    if len(text) <= limit and text.isascii() and text.isprintable():  # the usual case, for each run of a study
+        return text
+    line = "".join(map(_printable_character, text.encode("utf-8", "replace").decode("utf-8")))
     encoded = line.encode("utf-8")
     if len(encoded) <= limit:
         return line

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import itertools
 import queue
+import time
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import Future
 from pathlib import Path
@@ -23,8 +24,9 @@ __all__ = ["Batches", "RunAll", "ordered_runner", "run_specs"]
 Batches: TypeAlias = Generator[list[tuple[RunSpec, RunRecord]], None, None]
 RunAll: TypeAlias = Callable[[Sequence[RunSpec]], list[RunRecord]]
 
-AHEAD = 16  # runs queued per worker, so that no worker waits for the parent process
-PATIENCE = 0.05  # seconds to wait for a finished run
+AHEAD = 64  # runs queued per worker, so that no worker waits for the parent process
+PATIENCE_S = 0.05  # time to wait for a finished run [s]
+TOGETHER_S = 0.01  # time for which finished runs are gathered [s]: writing them to disk costs the same for one or many
 
 
 def run_specs(
@@ -88,10 +90,11 @@ def _in_processes(
 
 
 def _gathered(done: queue.SimpleQueue[Future[RunRecord]]) -> Iterator[Future[RunRecord]]:
-    """The runs that are finished now or within PATIENCE seconds."""
+    """Wait for a run to finish, and yield it with those that finish shortly after it."""
     try:
-        yield done.get(timeout=PATIENCE)
+        yield done.get(timeout=PATIENCE_S)
+        deadline = time.monotonic() + TOGETHER_S
         while True:
-            yield done.get_nowait()
+            yield done.get(timeout=max(deadline - time.monotonic(), 0.0))
     except queue.Empty:
         return

@@ -15,10 +15,11 @@ import time
 from collections import deque
 from collections.abc import Iterable
 from concurrent.futures import Future
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from multiprocessing import get_context, resource_tracker
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
+from multiprocessing.reduction import ForkingPickler
 from pathlib import Path
 from typing import Self
 
@@ -34,20 +35,46 @@ MAX_FAILED_STARTS = 3  # consecutive failures after which the pool gives up
 GROWTH_MB = 1024.0  # growth of a worker's memory [MiB] after which it is replaced
 CLOSING_S = 5.0  # time for workers to end by themselves
 LONGEST_WAIT_S = 3600.0  # longer than this, the system cannot wait at once
+FAST_S = 0.005  # runs of a worker are sent ahead if the last one took less than this
+AHEAD = 32  # runs of a worker, with those sent ahead
+AHEAD_BYTES = 2**15  # so small that it fits into a pipe: otherwise worker and pool might wait for each other
 POLL_S = 0.5  # between two looks at whether a worker is alive, where the system does not say so
 
 
 @dataclass(eq=False)
 class _Worker:
-    """A worker process, our end of its pipe, and the run that it executes."""
+    """A worker process, our end of its pipe, and its runs.
+
+    runs: runs that were sent to it: first the one that it executes, then those that wait in its pipe.
+    sizes: size of each of these messages [bytes].
+    """
 
     process: BaseProcess
     pipe: Connection
     exit: int  # a descriptor that becomes readable when the process, and not only its pipe, is gone
     ready: bool = False
-    spec: RunSpec | None = None
-    future: Future[RunRecord] | None = None
+    runs: deque[_Run] = field(default_factory=deque)
+    sizes: deque[int] = field(default_factory=deque)
+    started: float = 0.0
     deadline: float = math.inf
+    is_fast: bool = False  # whether its last run was so short that the next ones are sent ahead
+
+    def start_first(self) -> None:
+        """Note that the first of the runs starts now."""
+        self.started = time.monotonic()
+        self.deadline = self.started + (self.runs[0].spec.method.run_timeout_s or math.inf) if self.runs else math.inf
+
+    def may_take(self) -> bool:
+        """Whether another run can be sent: to an idle worker, or ahead to one whose runs are short."""
+        return not self.runs or (self.is_fast and len(self.runs) < AHEAD and sum(self.sizes) < AHEAD_BYTES)
+
+
+@dataclass(frozen=True, eq=False)
+class _Run:
+    """A run to execute, and the future of its record."""
+
+    spec: RunSpec
+    future: Future[RunRecord]
 
 
 class ProcessPool:
@@ -65,7 +92,7 @@ class ProcessPool:
         self._folder = ScratchFolder()
         self._spawn = get_context("spawn")
         self._woken, self._waker = self._spawn.Pipe(duplex=False)
-        self._queue: deque[tuple[RunSpec, Future[RunRecord]]] = deque()
+        self._queue: deque[_Run] = deque()
         self._workers: list[_Worker] = []
         self._failed_starts = 0.0
         self._error: NfbenchError | None = None
@@ -90,7 +117,7 @@ class ProcessPool:
         The future can be cancelled until the run starts.
         """
         future: Future[RunRecord] = Future()
-        self._queue.append((spec, future))
+        self._queue.append(_Run(spec, future))
         self._wake()
         if not self._supervisor.is_alive():
             self._give_up()
@@ -109,7 +136,7 @@ class ProcessPool:
             while not self._killing:
                 self._start_workers()
                 self._assign()
-                busy = [worker for worker in self._workers if worker.spec]
+                busy = [worker for worker in self._workers if worker.runs]
                 if self._closing and not busy and not self._queue:
                     break
                 self._listen()
@@ -122,14 +149,13 @@ class ProcessPool:
     def _give_up(self) -> None:
         """Fail all queued and running runs with the engine's error; without an error, cancel the queued ones."""
         for worker in self._workers:
-            if worker.future and self._error is not None:
-                worker.future.set_exception(self._error)
-            worker.spec = worker.future = None
+            self._queue.extend(worker.runs)
+            worker.runs.clear()
         while self._queue:
-            _, future = self._queue.popleft()
+            future = self._queue.popleft().future
             if self._error is None:
                 future.cancel()
-            elif future.set_running_or_notify_cancel():
+            elif future.running() or future.set_running_or_notify_cancel():
                 future.set_exception(self._error)
 
     def _start_workers(self) -> None:
@@ -139,7 +165,7 @@ class ProcessPool:
                 f"worker processes cannot start: {self._last_output}. A script that calls nfbench.run must do so below "
                 f'`if __name__ == "__main__":`, because workers import the script'
             )
-        idle = sum(worker.spec is None for worker in self._workers)
+        idle = sum(not worker.runs for worker in self._workers)
         for _ in range(min(self._jobs - len(self._workers), len(self._queue) - idle)):
             ours, theirs = self._spawn.Pipe()
             arguments = (theirs, self._plugins, str(self._folder.path), GROWTH_MB)
@@ -150,16 +176,19 @@ class ProcessPool:
 
     def _assign(self) -> None:
         for worker in self._workers:
-            if not worker.ready or worker.spec:
-                continue
-            while self._queue:
-                spec, future = self._queue.popleft()
-                if future.set_running_or_notify_cancel():
-                    worker.spec, worker.future = spec, future
-                    worker.deadline = time.monotonic() + (spec.method.run_timeout_s or math.inf)
-                    with contextlib.suppress(OSError):  # it has died; reading its pipe will show that
-                        worker.pipe.send(spec)
-                    break
+            while self._queue and worker.ready and worker.may_take():
+                run = self._queue.popleft()
+                if run.future.running() or run.future.set_running_or_notify_cancel():
+                    self._send(worker, run)
+
+    def _send(self, worker: _Worker, run: _Run) -> None:
+        message = ForkingPickler.dumps(run.spec)
+        worker.runs.append(run)
+        worker.sizes.append(len(message))
+        if len(worker.runs) == 1:
+            worker.start_first()
+        with contextlib.suppress(OSError):  # it has died; reading its pipe will show that
+            worker.pipe.send_bytes(message)
 
     def _listen(self) -> None:
         """Wait for a message or the death of a worker, a deadline, or a new run; then handle it."""
@@ -177,7 +206,7 @@ class ProcessPool:
             elif worker.exit in readable or (worker.exit < 0 and not worker.process.is_alive()):
                 self._report_death(worker)  # its pipe is still held by a process that it has started
             elif time.monotonic() >= worker.deadline:
-                limit = worker.spec.method.run_timeout_s if worker.spec else None
+                limit = worker.runs[0].spec.method.run_timeout_s if worker.runs else None
                 text = f"stopped after run_timeout_s = {limit:g} s"
                 self._fail_worker(worker, Status.TIMEOUT, text, limit or math.nan)
 
@@ -192,12 +221,15 @@ class ProcessPool:
             return
         try:
             record, replace = message
-            expected = worker.spec is not None and isinstance(record, RunRecord) and record.run_id == worker.spec.run_id
+            expected = isinstance(record, RunRecord) and record.run_id == worker.runs[0].spec.run_id
         except Exception:
             expected = False
-        if not expected or not worker.future:
+        if not expected:
             return  # from another process that holds the pipe: a run's record is accepted from its own run only
-        future, worker.spec, worker.future, worker.deadline = worker.future, None, None, math.inf
+        future = worker.runs.popleft().future
+        worker.sizes.popleft()
+        worker.is_fast = time.monotonic() - worker.started < FAST_S
+        worker.start_first()
         if replace:
             self._remove(worker)
         future.set_result(record)
@@ -210,17 +242,21 @@ class ProcessPool:
         self._fail_worker(worker, Status.CRASHED, cause)
 
     def _fail_worker(self, worker: _Worker, status: Status, message: str, runtime_s: float = math.nan) -> None:
-        """Remove a worker that is dead or must be killed; its run, if it has one, ends with this status."""
+        """Remove a worker that is dead or must be killed; the run that it executes, if any, ends with this status."""
+        failed = worker.runs.popleft() if worker.runs else None
         self._remove(worker)
         if not worker.ready:
             killed = worker.process.exitcode == -signal.SIGKILL  # by somebody else, who may do it again and again
             self._failed_starts += 0.1 if killed else 1
             self._last_output = message
-        if worker.future and worker.spec:
-            worker.future.set_result(RunRecord(worker.spec.run_id, status, message, runtime_s=runtime_s))
+        if failed:
+            failed.future.set_result(RunRecord(failed.spec.run_id, status, message, runtime_s=runtime_s))
 
     def _remove(self, worker: _Worker) -> None:
+        """Kill a worker; other workers take the runs that it has not started."""
         self._workers.remove(worker)
+        self._queue.extendleft(reversed(worker.runs))
+        worker.runs.clear()
         _kill(worker)
 
     def _end_workers(self) -> None:

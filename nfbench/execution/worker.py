@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 import contextlib
-import ctypes
+import contextvars
 import faulthandler
 import os
+import resource
 import signal
 import sys
 from collections import Counter
 from collections.abc import Iterator
+from multiprocessing import parent_process
 from multiprocessing.connection import Connection
 from pathlib import Path
 from types import FrameType
 
 from threadpoolctl import threadpool_limits
 
-from nfbench.core import Status, printable
+from nfbench.core import Status, die_with_parent, printable
 from nfbench.plugins import Containment, Registry, moved_up
 from nfbench.study import RunRecord, RunSpec
 
@@ -51,7 +53,10 @@ def serve(pipe: Connection, plugins: tuple[str | Path, ...], folder: str, growth
         if os.getpid() != worker.pid:  # a copy of the worker that the run has forked
             os._exit(0)
         before = _resident_mb() if before is None else before
-        pipe.send((record, replace or _resident_mb() - before > growth_mb))
+        replace = replace or (_peak_mb() - before > growth_mb and _resident_mb() - before > growth_mb)
+        pipe.send((record, replace))
+        while replace:  # runs that wait in the pipe are for another worker
+            signal.pause()
 
 
 class _Worker:
@@ -81,7 +86,8 @@ class _Worker:
         """
         os.ftruncate(self._output, 0)
         with _memory_limit(spec.method.run_memory_mb):
-            record = execute(spec, self._registry, interruptible=False)
+            context = contextvars.copy_context()  # np.seterr in a run, for example, changes only this copy
+            record = context.run(execute, spec, self._registry, interruptible=False)
         number = self._runs[spec.method.label]
         self._runs[spec.method.label] += 1
         ended_well = record.status in (Status.OK, Status.SKIPPED)
@@ -94,7 +100,9 @@ def _separate_from_parent() -> None:
     SIGINT and SIGTERM have no effect here: the parent process decides whether a run is finished or killed. Processes
     that a run starts are not affected by that, so that a library can end its own.
     """
-    _die_with_parent()
+    if parent := parent_process():
+        assert parent.pid is not None
+        die_with_parent(parent.pid)
     with contextlib.suppress(OSError):
         os.setsid()
     for number in (signal.SIGINT, signal.SIGTERM):
@@ -126,10 +134,9 @@ def last_output(folder: str, pid: int | None) -> str:
     return joined[-TAIL:] if "Fatal Python error" not in text else joined[:TAIL]
 
 
-def _die_with_parent() -> None:
-    """On Linux, have the kernel kill this process when its parent process ends for any reason."""
-    if sys.platform == "linux":
-        ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG
+def _peak_mb() -> float:
+    """The largest resident memory that this process ever had [MiB], which is found faster than that of now."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**10
 
 
 def _resident_mb() -> float:
@@ -151,8 +158,6 @@ def _memory_limit(megabytes: int | None) -> Iterator[None]:
     if megabytes is None:
         yield
         return
-    import resource
-
     pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
     soft, hard = resource.getrlimit(resource.RLIMIT_AS)
     limit = pages * resource.getpagesize() + megabytes * 2**20

@@ -6,6 +6,7 @@ from .containment import Containment, moved_up
 from .groups import GROUPS, members
 from .nested_solvers import NestedSolver, combined_info, nested_solver, run_part, solver_of, versions
 from .registry import CONTRACTS, Plugin, Registry
+from .rehearsal import rehearse
 from .templates import write_template
 
 __all__ = [
@@ -19,6 +20,7 @@ __all__ = [
     "members",
     "moved_up",
     "nested_solver",
+    "rehearse",
     "run_part",
     "solver_of",
     "versions",

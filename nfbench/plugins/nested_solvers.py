@@ -62,7 +62,10 @@ def solver_of(option: PluginOption) -> Solver:
 def combined_info(info: SolverInfo, solvers: Iterable[Solver]) -> SolverInfo:
     """Return ``info`` with the properties of the nested solvers; a property is true if any of them has it."""
     infos = [solver.info for solver in solvers]
-    names = ("stochastic", "batched", "needs_gradient", "uses_gradient", "global_search", "converges")
+    names = (
+        *("stochastic", "batched", "needs_gradient", "uses_gradient", "global_search", "converges"),
+        *("needs_evaluations", "plans_evaluations"),
+    )
     combined: dict[str, Any] = {name: any(getattr(nested, name) for nested in infos) for name in names}
     return replace(info, **combined)
 

@@ -8,15 +8,20 @@ import functools
 import hashlib
 import importlib.util
 import inspect
+import pickle
 import re
+import weakref
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, is_dataclass
 from importlib.metadata import EntryPoint, entry_points
+from multiprocessing import parent_process
 from pathlib import Path
+from threading import current_thread, main_thread
 from types import ModuleType
 from typing import Any, Literal, overload
 
 from nfbench.core import (
+    BudgetExhausted,
     Extra,
     Formulation,
     MissingExtra,
@@ -28,15 +33,23 @@ from nfbench.core import (
     Solver,
     SolverInfo,
     build,
+    canonical,
     explain,
+    printable,
     suggest,
 )
 
 from .importing import import_file
+from .rehearsal import MAKE_S, Rehearsal, rehearse, rehearsing
 
 __all__ = ["CONTRACTS", "Plugin", "Registry"]
 
 _active: contextvars.ContextVar[Registry | None] = contextvars.ContextVar("active", default=None)
+
+SHOWN = 200  # bytes of the options in a message
+REMEMBERED = 10_000  # options of plugins that need not be tried again
+_ADVICE = "slow code, and code that may end the process, belongs in minimize, draw or solve"
+_harmless: set[bytes] = set()  # digests of the plugins and options that have been constructed in a child process
 
 CONTRACTS: dict[str, type[Options]] = {"solver": Solver, "formulation": Formulation, "scenario": Scenario}
 _REQUIRED: dict[str, dict[str, type]] = {  # class variables that the framework relies on
@@ -62,6 +75,11 @@ class Plugin:
     origin: str
     version: str
     load: EntryPoint | type[Options]
+
+    @property
+    def foreign(self) -> bool:
+        """Whether the class comes from a plugin file, and not from an installed package."""
+        return isinstance(self.load, type)
 
     def resolve(self) -> type[Options]:
         """Import the class if necessary and return it.
@@ -115,6 +133,7 @@ class Registry:
         self.files = tuple(Path(file).resolve() for file in files)
         self.broken: dict[Path, str] = {}
         self._plugins: dict[tuple[str, str], Plugin] = {}
+        self._rehearsal: Rehearsal | None = None
         for kind in CONTRACTS:
             for point in entry_points(group=f"nfbench.{kind}s"):
                 origin, version = (point.dist.name, point.dist.version) if point.dist else ("unknown", "")
@@ -151,19 +170,58 @@ class Registry:
         MissingExtra if a library that it needs is not installed.
         """
         plugin = self.find(kind, name)
+        if plugin.foreign and _contains_runs() and (reason := self._why_not(plugin, options)):
+            given = ", ".join(f"{option} = {value!r}" for option, value in options.items())
+            how = f" with {printable(given, SHOWN)}" if given else ""
+            raise PluginError(f"{kind} {name} of {plugin.origin} cannot be made{how}: {reason}")
+        return self._make(plugin, options)
+
+    def _make(self, plugin: Plugin, options: Mapping[str, Any]) -> Options:
         token = _active.set(self)
         try:
-            made = build(plugin.resolve(), options)
-            missing = plugin.missing(made)
-        except (NfbenchError, MemoryError):
+            try:
+                made = build(plugin.resolve(), options)
+                missing = plugin.missing(made)
+            except OptionError as error:
+                raise _plain(error) from error
+        except (OptionError, PluginError, MemoryError):
             raise
-        except (Exception, SystemExit) as error:  # of the plugin's own validate, __init__ or needed_extra
-            raise PluginError(f"{kind} {name} cannot be made: {explain(error)}") from error
+        except (Exception, SystemExit, GeneratorExit, BudgetExhausted) as error:  # of the plugin's own methods
+            raise PluginError(f"{plugin.kind} {plugin.name} cannot be made: {explain(error)}") from error
         finally:
             _active.reset(token)
         if missing:
-            raise MissingExtra(f"{kind} {name} {missing}")
+            raise MissingExtra(f"{plugin.kind} {plugin.name} {missing}")
         return made
+
+    def _why_not(self, plugin: Plugin, options: Mapping[str, Any]) -> str:
+        """Why a class of a file cannot be constructed here, found out in a child process; empty if it can."""
+        question = (plugin.kind, plugin.name, dict(options))
+        try:
+            digest = hashlib.blake2b(pickle.dumps((plugin.version, question)), digest_size=16).digest()
+        except Exception:  # an option that cannot be pickled, which is not from a manifest
+            return rehearse(lambda: self._try(*question), "made", _ADVICE)
+        if digest in _harmless:
+            return ""
+        if self._rehearsal is None:
+            registry = weakref.ref(self)
+            self._rehearsal = Rehearsal(lambda question: _try_in(registry, question), "made", _ADVICE)
+        reason = self._rehearsal.ask(question, MAKE_S, f"{plugin.kind} {plugin.name}")
+        if not reason:
+            if len(_harmless) >= REMEMBERED:
+                _harmless.clear()
+            _harmless.add(digest)
+        return reason
+
+    def _try(self, kind: str, name: str, options: Mapping[str, Any]) -> str:
+        """Construct a plugin and read its options, as is done with those of a manifest."""
+        try:
+            made = self._make(self.find(kind, name), options)
+        except NfbenchError:  # raised again, and reported, in the parent process
+            return ""
+        canonical(made)
+        canonical(made, defaults=False)
+        return ""
 
     @classmethod
     def present(cls) -> Registry:
@@ -196,6 +254,21 @@ class Registry:
             kind = next(kind for kind, contract in CONTRACTS.items() if issubclass(cls, contract))
             name = vars(cls).get("name") or _kebab(cls.__name__)
             self._add(Plugin(kind, name, file.name, version, cls))
+
+
+def _contains_runs() -> bool:
+    """Whether an end of this process would end more than one run: not in a worker process, nor in a rehearsal."""
+    return parent_process() is None and current_thread() is main_thread() and not rehearsing()
+
+
+def _try_in(registry: weakref.ref[Registry], question: tuple[str, str, dict[str, Any]]) -> str:
+    present = registry()
+    return present._try(*question) if present else ""
+
+
+def _plain(error: OptionError) -> OptionError:
+    """The same error with nothing but text in it. A plugin may have raised one with anything."""
+    return OptionError(str(error.owner), [(str(path), str(text)) for path, text in error.problems])
 
 
 def _extra(cls: type[Options], made: Options | None) -> Extra | None:

@@ -172,8 +172,8 @@ def test_a_formulation_without_accepts_fails_its_own_rows(manifest, tmp_path):
 
 IMPORTS = {
     "import os\nos._exit(0)\n": "ended the process with exit code 0 while it was imported",
-    "import os\nos.kill(os.getpid(), 9)\n": "ended the process by signal 9 while it was imported",
-    "import os\nos.kill(os.getpid(), 40)\n": "ended the process by signal 40 while it was imported",
+    "import os\nos.kill(os.getpid(), 9)\n": "ended the process by signal 9 (SIGKILL) while it was imported",
+    "import os\nos.kill(os.getpid(), 40)\n": "ended the process by signal 40 (SIGRTMIN+6) while it was imported",
     "raise KeyboardInterrupt\n": "KeyboardInterrupt",
     "raise GeneratorExit\n": "GeneratorExit",
     "raise SystemExit('no')\n": "SystemExit: no",
