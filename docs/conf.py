@@ -8,7 +8,16 @@ from pathlib import Path
 DOCS = Path(__file__).parent
 sys.path.insert(0, str(DOCS / "_extensions"))
 
+import pandas  # noqa: E402
+
 import nfbench  # noqa: E402
+from nfbench import analysis  # noqa: E402
+from nfbench.results import Evidence  # noqa: E402
+from nfbench.results import results as results_module  # noqa: E402
+
+# What the annotations of Results mention, and its module imports for type checkers only.
+vars(results_module).update(pd=pandas, Axis=analysis.Axis, Evidence=Evidence)
+vars(results_module).update(Ranking=analysis.Ranking, Target=analysis.Target)
 
 project = "nfbench"
 author = "The nfbench maintainers"
@@ -73,7 +82,7 @@ nitpick_ignore_regex = [
     (r"py:class", r"[a-z] [a-z]|[a-z*]+ \w+|'.*'|\d.*|T|_F|F|.*\.T"),  # shapes and type variables
     (r"py:class", r"nfbench\.core\.options\.Annotated.*"),
     # base classes and records that are private to a package
-    (r"py:.*", r"nfbench\.(core|plugins|study|results|execution|figures|testing)\.\w+\.\w+"),
+    (r"py:.*", r"nfbench\.(core|plugins|study|analysis|results|execution|figures|testing)\.\w+\.\w+"),
     (r"py:.*", r"nfbench\.(solvers|problems)\.(\w+\.)*_\w+(\.\w+)?"),
 ]
 

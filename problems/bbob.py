@@ -33,13 +33,15 @@ class BBOBProblem(Problem):
     dimension: number n of unknowns.
     instance: COCO's number of the instance.
 
-    The attribute ``optimum`` is the minimizer x_opt (n,), and ``f_opt`` the value there.
+    The attribute ``optimum`` is the minimizer x_opt (n,), ``f_opt`` the value there, and ``instance_id`` the number.
     """
 
     def __init__(self, backend: Backend, function: int, dimension: int, instance: int) -> None:
         self.lower, self.upper = np.full(dimension, -5.0), np.full(dimension, 5.0)
+        self.instance_id = instance
         library = _coco if backend == "coco" else _ioh
         self.f, self.optimum, self.f_opt = library(function, dimension, instance)
+        self.minimum = self.f_opt
 
     def evaluate(self, X: Batch) -> Values:
         return self.f(X)
@@ -62,13 +64,20 @@ class BBOBInstance(ProblemInstance):
 
         gap: f(x) - f_opt, at least 0.
         distance: ‖x - x_opt‖ as a fraction of the diagonal of the box.
+        instance_id: COCO's number of the instance.
         """
         estimate = np.asarray(estimate, dtype=np.float64)
         problem = self.problem
         if estimate.shape != problem.lower.shape:
             raise ValueError(f"estimate: expected shape {problem.lower.shape}, got {estimate.shape}")
         distance = np.linalg.norm(estimate - problem.optimum) / np.linalg.norm(problem.upper - problem.lower)
-        return {"gap": max(problem.value(estimate) - problem.f_opt, 0.0), "distance": float(distance)}
+        gap = max(problem.value(estimate) - problem.f_opt, 0.0)
+        return {"gap": gap, "distance": float(distance), "instance_id": float(problem.instance_id)}
+
+    def errors(self, measure: str, estimates: Batch) -> Values:
+        if measure != "gap":
+            return super().errors(measure, estimates)
+        return np.maximum(self.problem.evaluate(estimates) - self.problem.f_opt, 0.0)
 
 
 @dataclass(frozen=True)

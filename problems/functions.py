@@ -142,6 +142,7 @@ class FunctionProblem(Problem):
 
     def __init__(self, shape: Shape, optimum: Point, rotation: Float[ndarray, "n n"] | None = None) -> None:
         self.shape, self.optimum, self.rotation = shape, optimum, rotation
+        self.minimum = 0.0
         self.lower, self.upper = np.full(len(optimum), shape.low), np.full(len(optimum), shape.high)
 
     def evaluate(self, X: Batch) -> Values:
@@ -183,6 +184,11 @@ class FunctionInstance(ProblemInstance):
             raise ValueError(f"estimate: expected shape {problem.lower.shape}, got {estimate.shape}")
         distance = np.linalg.norm(estimate - problem.optimum) / np.linalg.norm(problem.upper - problem.lower)
         return {"gap": max(problem.value(estimate), 0.0), "distance": float(distance)}
+
+    def errors(self, measure: str, estimates: Batch) -> Values:
+        if measure != "gap":
+            return super().errors(measure, estimates)
+        return np.maximum(self.problem.evaluate(estimates), 0.0)
 
 
 @dataclass(frozen=True)
@@ -227,6 +233,9 @@ class Direct(Formulation):
     """Minimizes the problem of the instance once; the minimizer is the estimate."""
 
     accepts: ClassVar[type[Instance]] = ProblemInstance  # type: ignore[type-abstract]  # any subclass
+
+    def estimates(self, instance: ProblemInstance, X: Batch) -> Batch:
+        return X
 
     def solve(self, instance: ProblemInstance, minimize: Minimize) -> Point:
         return minimize(instance.problem).x

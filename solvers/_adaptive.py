@@ -177,8 +177,9 @@ class Population:
     def __init__(self, N: int, archive_rate: float, problem: MeteredProblem, rng: np.random.Generator) -> None:
         self.archive_rate = archive_rate
         self.problem, self.rng = problem, rng
-        self.x: Points = problem.from_unit(rng.random((N, problem.dimension)))
-        self.f: Values = problem.evaluate(self.x)
+        self.x: Points
+        self.f: Values
+        self.x, self.f = problem.first_population(N, rng)
         self.A = Archive(round(archive_rate * N), problem.dimension)
         problem.keep_population(self.x, self.f)
 

@@ -12,13 +12,45 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from nfbench import MeteredProblem
+from nfbench import Budget, BudgetExhausted, MeteredProblem, Problem, Solver
 
-__all__ = ["Stop", "from_unit", "global_random", "planned"]
+__all__ = ["Stop", "from_unit", "global_random", "planned", "rehearse"]
 
 ROUNDING = 1e-9  # in widths of the box; a point farther outside is an error of the library
 
 T = TypeVar("T")
+
+_rehearsed: set[tuple[type[Solver], str]] = set()
+
+
+@final
+class _Sphere(Problem):
+    """The problem of a rehearsal."""
+
+    has_gradient = True
+
+    def __init__(self) -> None:
+        self.lower, self.upper = np.full(2, -1.0), np.full(2, 2.0)
+
+    def evaluate(self, X: Float[ndarray, "p n"]) -> Float[ndarray, " p"]:
+        return np.asarray((X**2).sum(axis=1))
+
+    def value_and_gradient(self, x: Float[ndarray, " n"]) -> tuple[float, Float[ndarray, " n"]]:
+        return float(x @ x), 2.0 * x
+
+
+def rehearse(solver: Solver, evaluations: int = 200) -> None:
+    """Run the solver once per process and algorithm on a small problem, for its method ``warm_up``.
+
+    Libraries load modules, compile and build tables when they are first used; this takes up to a second, which would
+    otherwise count as time of the first run.
+    """
+    key = type(solver), str(getattr(solver, "algorithm", ""))
+    if key in _rehearsed:
+        return
+    _rehearsed.add(key)
+    with contextlib.suppress(Exception, BudgetExhausted):  # a real run reports its errors
+        solver.minimize(MeteredProblem(_Sphere(), Budget(evaluations=evaluations)), np.random.default_rng(0))
 
 
 def from_unit(problem: MeteredProblem, U: Float[ndarray, "*p n"]) -> Float[ndarray, "*p n"]:

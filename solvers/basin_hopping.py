@@ -13,6 +13,7 @@ from scipy.optimize import Bounds, basinhopping
 from nfbench import Ge, Gt, Le, MeteredProblem, Solver, SolverInfo
 
 from ._lbfgsb import objective
+from ._wrapped import rehearse
 
 __all__ = ["BasinHopping"]
 
@@ -38,9 +39,13 @@ class BasinHopping(Solver):
 
     info: ClassVar[SolverInfo] = SolverInfo(
         batched=True,
+        accepts_start=True,
         uses_gradient=True,
         reference="Wales & Doye 1997, doi:10.1021/jp970984n; Leary 2000, doi:10.1023/A:1026500301312",
     )
+
+    def warm_up(self) -> None:
+        rehearse(self)
 
     def minimize(self, problem: MeteredProblem, rng: np.random.Generator) -> None:
         n = problem.dimension
@@ -56,11 +61,12 @@ class BasinHopping(Solver):
             "bounds": Bounds(np.zeros(n), np.ones(n)),
             "options": {"ftol": 1e-12, "gtol": 1e-8, "maxiter": 2**31 - 1, "maxfun": 2**31 - 1},
         }
+        first = problem.first_point(rng)
         while True:
             with np.errstate(all="ignore"):  # SciPy computes inf - inf on a plateau of +inf
                 basinhopping(
                     searched,
-                    rng.random(n),
+                    first,
                     niter=2**31 - 1,
                     niter_success=self.patience,
                     T=self.temperature,
@@ -68,3 +74,4 @@ class BasinHopping(Solver):
                     take_step=hop,
                     rng=rng,
                 )
+            first = rng.random(n)

@@ -14,6 +14,7 @@ from numpy import ndarray
 from nfbench import AskTellSolver, Ge, Gt, Le, MeteredProblem, SolverInfo, Tune
 
 from ._finite import Finite
+from ._wrapped import rehearse
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore")  # pycma warns if matplotlib is not installed
@@ -42,9 +43,13 @@ class CMAES(AskTellSolver):
 
     info: ClassVar[SolverInfo] = SolverInfo(
         batched=True,
+        accepts_start=True,
         reference="Hansen & Ostermeier 2001, doi:10.1162/106365601750190398; "
         "IPOP: Auger & Hansen 2005, doi:10.1109/CEC.2005.1554902; BIPOP: Hansen 2009, doi:10.1145/1570256.1570333",
     )
+
+    def warm_up(self) -> None:
+        rehearse(self)
 
     def start(self, problem: MeteredProblem, rng: np.random.Generator) -> _Runs:
         return _Runs(self, problem, rng)
@@ -64,9 +69,9 @@ class _Runs:
         self.large = 0  # evaluations of the last large run
         self.evaluations = 0  # evaluations of the current run
         self.limit = math.inf  # maximum of self.evaluations
-        self.begin(solver.sigma0)
+        self.begin(solver.sigma0, problem.first_point(rng))
 
-    def begin(self, sigma: float) -> None:
+    def begin(self, sigma: float, mean: Float[ndarray, " n"]) -> None:
         n = self.problem.dimension
         options = {
             "popsize": self.population,
@@ -84,7 +89,7 @@ class _Runs:
             options["maxstd_boundrange"] = math.inf  # otherwise pycma raises when a step exceeds a third of the width
         with warnings.catch_warnings():  # pycma also adds warning filters
             warnings.simplefilter("ignore")
-            self.es: Any = cma.CMAEvolutionStrategy(self.rng.random(n), sigma, options)
+            self.es: Any = cma.CMAEvolutionStrategy(mean, sigma, options)
         self.finite = Finite(start=0.0)
         self.evaluations = 0
 
@@ -119,9 +124,10 @@ class _Runs:
             ratio = 0.5 * 2.0**self.doublings
             self.population = int(self.default * ratio ** (self.rng.random() ** 2))
             self.limit = 0.5 * self.large
-            self.begin(self.solver.sigma0 * 10.0 ** (-2.0 * self.rng.random()))
+            sigma = self.solver.sigma0 * 10.0 ** (-2.0 * self.rng.random())
+            self.begin(sigma, self.rng.random(self.problem.dimension))
         else:
             self.doublings += 1
             self.population = self.default * 2**self.doublings
             self.limit = math.inf
-            self.begin(self.solver.sigma0)
+            self.begin(self.solver.sigma0, self.rng.random(self.problem.dimension))

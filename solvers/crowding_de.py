@@ -40,6 +40,7 @@ class CrowdingDE(Solver):
 
     info: ClassVar[SolverInfo] = SolverInfo(
         batched=True,
+        accepts_start=True,
         converges=False,  # it spreads its evaluations over all minima
         reference="Thomsen 2004, doi:10.1109/CEC.2004.1331058; NCDE: Qu, Suganthan & Liang 2012, "
         "doi:10.1109/TEVC.2011.2161873",
@@ -52,9 +53,8 @@ class CrowdingDE(Solver):
             )
 
     def minimize(self, problem: MeteredProblem, rng: np.random.Generator) -> None:
-        N, n = self.population, problem.dimension
-        x = problem.from_unit(rng.random((N, n)))
-        f = problem.evaluate(x)
+        N = self.population
+        x, f = problem.first_population(N, rng)
         problem.keep_population(x, f)
         while True:
             r1, r2, r3 = self._partners(problem.to_unit(x), rng)

@@ -92,7 +92,9 @@ class DE(Solver):
     bounds: Literal["clip", "midpoint", "reflect", "resample"] = "clip"
     generations: Annotated[int, Ge(1)] | None = None
 
-    info: ClassVar[SolverInfo] = SolverInfo(batched=True, reference="Storn & Price 1997, doi:10.1023/A:1008202821328")
+    info: ClassVar[SolverInfo] = SolverInfo(
+        batched=True, accepts_start=True, reference="Storn & Price 1997, doi:10.1023/A:1008202821328"
+    )
 
     def validate(self) -> None:
         least = self._terms().max() + 2
@@ -109,9 +111,8 @@ class DE(Solver):
         R = int(terms.max()) + 1  # how many r the strategy has
         crossover = exponential if self.strategy.endswith("exp") else binomial
         parents = np.empty((N, R + 2), np.int64)
-        x = problem.from_unit(rng.random((N, n)))
+        x, f = problem.first_population(N, rng)
         v, u = np.empty_like(x), np.empty_like(x)
-        f = problem.evaluate(x)
         best = int(f.argmin())
         problem.keep_population(x, f)
         more = None if self.generations is None else self.generations - 1

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, Any, ClassVar, Literal, final
 
 import numpy as np
@@ -13,7 +13,7 @@ from numpy import ndarray
 from nfbench import AskTellSolver, Ge, Gt, Le, MeteredProblem, SolverInfo
 
 from ._finite import Finite
-from ._wrapped import from_unit, planned
+from ._wrapped import from_unit, planned, rehearse
 
 __all__ = ["Fcmaes"]
 
@@ -45,14 +45,29 @@ class Fcmaes(AskTellSolver):
         requires=("fcmaes",),
     )
 
+    def validate(self) -> None:
+        object.__setattr__(
+            self,
+            "info",
+            replace(
+                type(self).info,
+                plans_evaluations=self.algorithm in ("ACMA", "Bite"),
+                accepts_start=self.algorithm != "DE",
+            ),
+        )
+
     def warm_up(self) -> None:
-        _classes()
+        rehearse(self)
 
     def start(self, problem: MeteredProblem, rng: np.random.Generator) -> _Running:
         from scipy.optimize import Bounds
 
         n = problem.dimension
-        settings: dict[str, Any] = {"bounds": Bounds(np.zeros(n), np.ones(n)), "rg": rng, "x0": rng.random(n)}
+        settings: dict[str, Any] = {
+            "bounds": Bounds(np.zeros(n), np.ones(n)),
+            "rg": rng,
+            "x0": problem.first_point(rng),
+        }
         if self.algorithm == "DE":
             del settings["x0"]  # DE starts from its own random population
         elif self.algorithm != "Bite":

@@ -30,7 +30,7 @@ class JADE(Solver):
     archive: bool = True
 
     info: ClassVar[SolverInfo] = SolverInfo(
-        batched=True, reference="Zhang & Sanderson 2009, doi:10.1109/TEVC.2009.2014613"
+        batched=True, accepts_start=True, reference="Zhang & Sanderson 2009, doi:10.1109/TEVC.2009.2014613"
     )
 
     def minimize(self, problem: MeteredProblem, rng: np.random.Generator) -> None:
@@ -38,8 +38,7 @@ class JADE(Solver):
         NP = self.population or (30 if n <= 10 else 100 if n <= 30 else 400)
         mu_CR = mu_F = 0.5
         A = Archive(NP if self.archive else 0, n)
-        x = problem.from_unit(rng.random((NP, n)))
-        f = problem.evaluate(x)
+        x, f = problem.first_population(NP, rng)
         problem.keep_population(x, f)
         best = best_count(self.p, NP)
         while True:

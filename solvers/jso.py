@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, ClassVar
 
 import numpy as np
@@ -47,8 +47,15 @@ class JSO(Solver):
     evaluations: Annotated[int, Ge(1)] | None = None
 
     info: ClassVar[SolverInfo] = SolverInfo(
-        batched=True, reference="Brest, Maučec & Bošković 2017, doi:10.1109/CEC.2017.7969456"
+        batched=True,
+        needs_evaluations=True,
+        accepts_start=True,
+        reference="Brest, Maučec & Bošković 2017, doi:10.1109/CEC.2017.7969456",
     )
+
+    def validate(self) -> None:
+        if self.evaluations is not None:
+            object.__setattr__(self, "info", replace(type(self).info, needs_evaluations=False))
 
     def minimize(self, problem: MeteredProblem, rng: np.random.Generator) -> None:
         max_nfe, n = maximum_evaluations(problem, self.evaluations), max(problem.dimension, 2)

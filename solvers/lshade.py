@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
@@ -47,8 +47,15 @@ class LSHADE(Solver):
     evaluations: Annotated[int, Ge(1)] | None = None
 
     info: ClassVar[SolverInfo] = SolverInfo(
-        batched=True, reference="Tanabe & Fukunaga 2014, doi:10.1109/CEC.2014.6900380"
+        batched=True,
+        needs_evaluations=True,
+        accepts_start=True,
+        reference="Tanabe & Fukunaga 2014, doi:10.1109/CEC.2014.6900380",
     )
+
+    def validate(self) -> None:
+        if self.evaluations is not None:
+            object.__setattr__(self, "info", replace(type(self).info, needs_evaluations=False))
 
     def minimize(self, problem: MeteredProblem, rng: np.random.Generator) -> None:
         max_nfe = maximum_evaluations(problem, self.evaluations)

@@ -10,7 +10,7 @@ import numpy as np
 from nfbench import Ge, MeteredProblem, Solver, SolverInfo
 
 from ._finite import Finite
-from ._wrapped import Stop, from_unit, planned
+from ._wrapped import Stop, from_unit, planned, rehearse
 
 __all__ = ["MinionPy"]
 
@@ -55,13 +55,15 @@ class MinionPy(Solver):
 
     info: ClassVar[SolverInfo] = SolverInfo(
         batched=True,
+        plans_evaluations=True,
+        accepts_start=True,
         reference="Muzakka (MinionPy); L-SHADE: Tanabe & Fukunaga 2014, doi:10.1109/CEC.2014.6900380",
         extra="minionpy",
         requires=("minionpy",),
     )
 
     def warm_up(self) -> None:
-        import minionpy  # noqa: F401
+        rehearse(self)
 
     def minimize(self, problem: MeteredProblem, rng: np.random.Generator) -> None:
         from minionpy import Minimizer
@@ -75,7 +77,7 @@ class MinionPy(Solver):
         minimizer = Minimizer(
             stop.guard(objective),
             [(0.0, 1.0)] * n,
-            x0=[rng.random(n).tolist()],
+            x0=[problem.first_point(rng).tolist()],
             algo=self.algorithm,
             maxevals=planned(problem, self.horizon),
             seed=int(rng.integers(2**31 - 1)),

@@ -11,6 +11,7 @@ from scipy.optimize import Bounds, minimize
 from nfbench import Ge, Gt, Lt, MeteredProblem, Solver, SolverInfo
 
 from ._lbfgsb import objective
+from ._wrapped import rehearse
 
 __all__ = ["MultistartLBFGSB"]
 
@@ -37,19 +38,26 @@ class MultistartLBFGSB(Solver):
     gtol: Annotated[float, Ge(0.0)] = 1e-8
 
     info: ClassVar[SolverInfo] = SolverInfo(
-        batched=True, uses_gradient=True, reference="Zhu, Byrd, Lu & Nocedal 1997, doi:10.1145/279232.279236"
+        batched=True,
+        accepts_start=True,
+        uses_gradient=True,
+        reference="Zhu, Byrd, Lu & Nocedal 1997, doi:10.1145/279232.279236",
     )
+
+    def warm_up(self) -> None:
+        rehearse(self)
 
     def minimize(self, problem: MeteredProblem, rng: np.random.Generator) -> None:
         n = problem.dimension
         searched = objective(problem, own=problem.has_gradient and self.gradient == "auto", step=self.step)
         started = 0
         while self.starts is None or started < self.starts:
+            first = rng.random(n) if started else problem.first_point(rng)
             started += 1
             with np.errstate(all="ignore"):  # SciPy computes inf - inf on a plateau of +inf
                 minimize(
                     searched,
-                    rng.random(n),
+                    first,
                     jac=True,
                     method="L-BFGS-B",
                     bounds=Bounds(np.zeros(n), np.ones(n)),

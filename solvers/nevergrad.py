@@ -18,7 +18,7 @@ from nfbench import Ge, Incompatible, MeteredProblem, OptionError, Solver, Solve
 
 from ._finite import Finite
 from ._nevergrad import cannot_be_used, contained, surrogates_fail
-from ._wrapped import from_unit, global_random, planned
+from ._wrapped import from_unit, global_random, planned, rehearse
 
 __all__ = ["Nevergrad"]
 
@@ -43,6 +43,7 @@ class Nevergrad(Solver):
     horizon: Annotated[int, Ge(1)] = 100_000
 
     info: ClassVar[SolverInfo] = SolverInfo(
+        plans_evaluations=True,
         reference="Rapin & Teytaud 2018 (Nevergrad); Bennet et al. 2021, doi:10.1145/3460310.3460312",
         extra="nevergrad",
         requires=("nevergrad",),
@@ -66,7 +67,7 @@ class Nevergrad(Solver):
         return cannot_be_used()
 
     def warm_up(self) -> None:
-        _registry()
+        rehearse(self, evaluations=12)  # some algorithms take 0.1 s per point
 
     def minimize(self, problem: MeteredProblem, rng: np.random.Generator) -> None:
         from nevergrad.parametrization.parameter import Array

@@ -42,10 +42,10 @@ def run(
 ) -> None:
     """Run an NLopt algorithm in the unit box until the budget is used up or the algorithm ends.
 
-    An algorithm that needs a starting point starts at a uniform random point. NLopt has one generator for the whole
-    process; it is seeded from ``rng`` before each run. The value +inf makes DIRECT give up and AGS crash, so it is
-    replaced by the worst finite value so far, with a zero gradient. A value together with its gradient counts as one
-    evaluation.
+    An algorithm that needs a starting point starts at the best point of ``problem.start``, if there is one, or else at
+    a uniform random point. NLopt has one generator for the whole process; it is seeded from ``rng`` before each run.
+    The value +inf makes DIRECT give up and AGS crash, so it is replaced by the worst finite value so far, with a zero
+    gradient. A value together with its gradient counts as one evaluation.
 
     population: population size; None: NLopt's default.
     local: NLopt optimizer for the local searches of MLSL; None for the other algorithms.
@@ -84,7 +84,7 @@ def run(
     nlopt.srand(int(rng.integers(1, 2**31 - 1)))
     try:
         with contextlib.suppress(nlopt.RoundoffLimited):  # rounding errors prevent further progress
-            optimizer.optimize(rng.random(n))
+            optimizer.optimize(problem.first_point(rng))
     finally:
         del optimizer  # the garbage collector cannot see its reference to the objective and to an error's frames
         if ended:
@@ -136,7 +136,9 @@ class CRS2LM(Solver):
 
     population: Annotated[int, Ge(2)] | None = None
 
-    info: ClassVar[SolverInfo] = SolverInfo(reference="Kaelo & Ali 2006, doi:10.1007/s10957-006-9101-0")
+    info: ClassVar[SolverInfo] = SolverInfo(
+        accepts_start=True, reference="Kaelo & Ali 2006, doi:10.1007/s10957-006-9101-0"
+    )
 
     def minimize(self, problem: MeteredProblem, rng: np.random.Generator) -> None:
         least = problem.dimension + 1
@@ -156,7 +158,9 @@ class ISRES(Solver):
 
     population: Annotated[int, Ge(1)] | None = None
 
-    info: ClassVar[SolverInfo] = SolverInfo(reference="Runarsson & Yao 2005, doi:10.1109/TSMCC.2004.841906")
+    info: ClassVar[SolverInfo] = SolverInfo(
+        accepts_start=True, reference="Runarsson & Yao 2005, doi:10.1109/TSMCC.2004.841906"
+    )
 
     def minimize(self, problem: MeteredProblem, rng: np.random.Generator) -> None:
         run(nlopt.GN_ISRES, problem, rng, self.population)
@@ -172,6 +176,7 @@ class ESCH(Solver):
     population: Annotated[int, Ge(1)] | None = None
 
     info: ClassVar[SolverInfo] = SolverInfo(
+        accepts_start=True,
         converges=False,
         reference="da Silva Santos, Gonçalves & Hernández-Figueroa 2010, IEEE Photonics Tech. Letters 22(15)",
     )
@@ -196,8 +201,9 @@ class MLSL(Solver):
     ftol: Annotated[float, Ge(0.0)] = 1e-12
 
     info: ClassVar[SolverInfo] = SolverInfo(
+        accepts_start=True,
         reference="Rinnooy Kan & Timmer 1987, doi:10.1007/BF02592071; Kucherenko & Sytsko 2005, "
-        "doi:10.1007/s10589-005-4615-1"
+        "doi:10.1007/s10589-005-4615-1",
     )
 
     def minimize(self, problem: MeteredProblem, rng: np.random.Generator) -> None:
@@ -227,6 +233,7 @@ class MLSLLBFGS(Solver):
     ftol: Annotated[float, Ge(0.0)] = 1e-12
 
     info: ClassVar[SolverInfo] = SolverInfo(
+        accepts_start=True,
         needs_gradient=True,
         reference="Rinnooy Kan & Timmer 1987, doi:10.1007/BF02592071; Kucherenko & Sytsko 2005, "
         "doi:10.1007/s10589-005-4615-1; L-BFGS: Nocedal 1980, doi:10.1090/S0025-5718-1980-0572855-7",

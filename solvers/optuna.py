@@ -13,7 +13,7 @@ import numpy as np
 from nfbench import Ge, Incompatible, MeteredProblem, Solver, SolverInfo
 
 from ._finite import Finite
-from ._wrapped import from_unit
+from ._wrapped import from_unit, rehearse
 
 __all__ = ["Optuna"]
 
@@ -45,8 +45,7 @@ class Optuna(Solver):
             raise ValueError(f"population: {text}")
 
     def warm_up(self) -> None:
-        import cmaes  # noqa: F401
-        import optuna.samplers  # noqa: F401
+        rehearse(self, evaluations=15)  # TPE models the objective from the tenth point on
 
     def minimize(self, problem: MeteredProblem, rng: np.random.Generator) -> None:
         import optuna

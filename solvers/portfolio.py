@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Annotated, ClassVar
 
 import numpy as np
@@ -53,7 +53,13 @@ class Portfolio(Solver):
         if self.weights is not None and len(self.weights) != len(self.solvers):
             text = f"expected {len(self.solvers)} numbers, one for each solver, got {len(self.weights)}"
             raise OptionError("Portfolio", [("weights", text)])
-        object.__setattr__(self, "info", combined_info(type(self).info, map(solver_of, self.solvers)))
+        infos = [solver_of(nested).info for nested in self.solvers]
+        info = replace(
+            combined_info(type(self).info, map(solver_of, self.solvers)),
+            needs_evaluations=any(info.needs_evaluations for info in infos),
+            plans_evaluations=any(info.plans_evaluations for info in infos),
+        )
+        object.__setattr__(self, "info", info)
 
     def warm_up(self) -> None:
         for nested in self.solvers:

@@ -35,14 +35,15 @@ class PSO(Solver):
 
     info: ClassVar[SolverInfo] = SolverInfo(
         batched=True,
+        accepts_start=True,
         reference="Clerc & Kennedy 2002, doi:10.1109/4235.985692; Bratton & Kennedy 2007, doi:10.1109/SIS.2007.368035",
     )
 
     def minimize(self, problem: MeteredProblem, rng: np.random.Generator) -> None:
         shape = self.swarm, problem.dimension
-        x = problem.from_unit(rng.random(shape))
+        x, f = problem.first_population(self.swarm, rng)
         v = 0.5 * (problem.from_unit(rng.random(shape)) - x)
-        p, f = x.copy(), problem.evaluate(x)
+        p = x.copy()
         problem.keep_population(p, f)
         while True:
             if self.topology == "global":

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, Any, ClassVar, Literal, final
 
 import numpy as np
@@ -12,7 +12,7 @@ from numpy import ndarray
 from nfbench import Ge, Incompatible, MeteredProblem, Solver, SolverInfo
 
 from ._finite import Finite
-from ._wrapped import from_unit, planned
+from ._wrapped import from_unit, planned, rehearse
 
 __all__ = ["Pygmo"]
 
@@ -54,13 +54,17 @@ class Pygmo(Solver):
     horizon: Annotated[int, Ge(1)] = 100_000
 
     info: ClassVar[SolverInfo] = SolverInfo(
+        accepts_start=True,
         reference="Biscani & Izzo 2020, doi:10.21105/joss.02338; jDE: Brest et al. 2006, doi:10.1109/TEVC.2006.872133",
         extra="pygmo",
         requires=("pygmo",),
     )
 
+    def validate(self) -> None:
+        object.__setattr__(self, "info", replace(type(self).info, plans_evaluations=self.algorithm == "ihs"))
+
     def warm_up(self) -> None:
-        import pygmo  # noqa: F401
+        rehearse(self)
 
     def minimize(self, problem: MeteredProblem, rng: np.random.Generator) -> None:
         import pygmo
@@ -72,7 +76,13 @@ class Pygmo(Solver):
         if evaluates_batches:
             user_algorithm.set_bfe(evaluator)
         algorithm = pygmo.algorithm(user_algorithm)
-        population = pygmo.population(pygmo.problem(_Box(problem)), self.population, b=evaluator, seed=seeds[1])
+        box = pygmo.problem(_Box(problem))
+        if problem.start is None:
+            population = pygmo.population(box, self.population, b=evaluator, seed=seeds[1])
+        else:
+            population = pygmo.population(box, 0, seed=seeds[1])
+            for x, value in zip(*problem.first_population(self.population, rng), strict=True):
+                population.push_back(problem.to_unit(x).clip(0.0, 1.0), [value])
         before = -1
         while before < problem.evaluations:
             before = problem.evaluations

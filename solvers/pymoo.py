@@ -13,7 +13,7 @@ from numpy import ndarray
 from nfbench import Ge, MeteredProblem, Solver, SolverInfo
 
 from ._finite import Finite
-from ._wrapped import from_unit, global_random
+from ._wrapped import from_unit, global_random, rehearse
 
 __all__ = ["Pymoo"]
 
@@ -78,7 +78,7 @@ class Pymoo(Solver):
             raise ValueError(f"population: {text}")
 
     def warm_up(self) -> None:
-        self.load()
+        rehearse(self)
 
     def load(self) -> Any:
         """Import and return the class of the algorithm."""

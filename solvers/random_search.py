@@ -24,7 +24,7 @@ class RandomSearch(AskTellSolver):
     batch: Annotated[int, Ge(1)] = 256
 
     info: ClassVar[SolverInfo] = SolverInfo(
-        batched=True, converges=False, reference="Brooks 1958, doi:10.1287/opre.6.2.244"
+        batched=True, accepts_start=True, converges=False, reference="Brooks 1958, doi:10.1287/opre.6.2.244"
     )
 
     def start(self, problem: MeteredProblem, rng: np.random.Generator) -> _Uniform:

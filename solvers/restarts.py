@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Annotated, ClassVar
 
 import numpy as np
@@ -48,7 +48,10 @@ class Restarts(Solver):
         if not solver.info.stochastic:
             text = f"expected a stochastic solver, because others would repeat the same run, got {self.solver.kind!r}"
             raise OptionError("Restarts", [("solver.kind", text)])
-        object.__setattr__(self, "info", combined_info(type(self).info, [solver]))
+        needs = solver.info.needs_evaluations and self.evaluations is None
+        plans = solver.info.plans_evaluations and self.evaluations is None
+        info = combined_info(type(self).info, [solver])
+        object.__setattr__(self, "info", replace(info, needs_evaluations=needs, plans_evaluations=plans))
 
     def warm_up(self) -> None:
         solver_of(self.solver).warm_up()

@@ -13,6 +13,8 @@ from scipy.stats import qmc
 
 from nfbench import Ge, Le, MeteredProblem, Solver, SolverInfo, Tune
 
+from ._wrapped import rehearse
+
 __all__ = ["ScipyDE"]
 
 F: TypeAlias = Annotated[float, Ge(0.0), Le(2.0)]
@@ -54,21 +56,33 @@ class ScipyDE(Solver):
     polish: bool = True
 
     info: ClassVar[SolverInfo] = SolverInfo(
-        batched=True, reference="Storn & Price 1997, doi:10.1023/A:1008202821328; Virtanen et al. 2020 (SciPy)"
+        batched=True,
+        accepts_start=True,
+        reference="Storn & Price 1997, doi:10.1023/A:1008202821328; Virtanen et al. 2020 (SciPy)",
     )
 
     def validate(self) -> None:
         if isinstance(self.mutation, tuple) and self.mutation[0] > self.mutation[1]:
             raise ValueError(f"mutation: expected (low, high) with low <= high, got {self.mutation}")
 
+    def warm_up(self) -> None:
+        rehearse(self)
+
     def minimize(self, problem: MeteredProblem, rng: np.random.Generator) -> None:
         n = problem.dimension
         shape = (self.population, n)
+        known: list[Float[ndarray, " N"]] = []  # values of the initial population, if it was evaluated before
         initial = (
             qmc.LatinHypercube(n, rng=rng).random(shape[0]) if self.init == "latin-hypercube" else rng.random(shape)
         )
 
+        if problem.start is not None:
+            x, f = problem.first_population(self.population, rng)
+            initial, known = np.clip(problem.to_unit(x), 0.0, 1.0), [f]
+
         def objective(U: Float[ndarray, "n ..."], /) -> Any:
+            if known:
+                return known.pop()
             X = problem.from_unit(U.T)
             return problem(X) if X.ndim == 1 else problem.evaluate(X)  # the polishing step evaluates single points
 

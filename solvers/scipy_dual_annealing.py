@@ -14,6 +14,8 @@ from scipy.optimize import Bounds, dual_annealing
 
 from nfbench import Gt, Le, Lt, MeteredProblem, Solver, SolverInfo
 
+from ._wrapped import rehearse
+
 __all__ = ["ScipyDualAnnealing"]
 
 
@@ -35,7 +37,12 @@ class ScipyDualAnnealing(Solver):
     accept: Annotated[float, Gt(-1e4), Le(-5.0)] = -5.0
     local_search: bool = True
 
-    info: ClassVar[SolverInfo] = SolverInfo(reference="Xiang, Sun, Fan & Gong 1997, doi:10.1016/S0375-9601(97)00474-X")
+    info: ClassVar[SolverInfo] = SolverInfo(
+        accepts_start=True, reference="Xiang, Sun, Fan & Gong 1997, doi:10.1016/S0375-9601(97)00474-X"
+    )
+
+    def warm_up(self) -> None:
+        rehearse(self)
 
     def minimize(self, problem: MeteredProblem, rng: np.random.Generator) -> None:
         n = problem.dimension
@@ -48,6 +55,7 @@ class ScipyDualAnnealing(Solver):
                 dual_annealing(
                     objective,
                     Bounds(np.zeros(n), np.ones(n)),
+                    x0=None if problem.start is None else problem.first_point(rng),
                     maxiter=sys.maxsize,
                     maxfun=math.inf,
                     initial_temp=self.initial_temp,

@@ -13,6 +13,8 @@ from scipy.optimize import Bounds, shgo
 
 from nfbench import Ge, Incompatible, MeteredProblem, Solver, SolverInfo
 
+from ._wrapped import rehearse
+
 __all__ = ["ScipySHGO"]
 
 DELAUNAY_DIMENSIONS = 3  # in more dimensions, triangulating a few hundred points takes minutes
@@ -39,6 +41,9 @@ class ScipySHGO(Solver):
     info: ClassVar[SolverInfo] = SolverInfo(
         stochastic=False, reference="Endres, Sandrock & Focke 2018, doi:10.1007/s10898-018-0645-y"
     )
+
+    def warm_up(self) -> None:
+        rehearse(self)
 
     def minimize(self, problem: MeteredProblem, rng: np.random.Generator) -> None:
         n = problem.dimension

@@ -26,7 +26,7 @@ class SHADE(Solver):
     memory: Annotated[int, Ge(1), Tune(2, 200, log=True)] = 100
 
     info: ClassVar[SolverInfo] = SolverInfo(
-        batched=True, reference="Tanabe & Fukunaga 2013, doi:10.1109/CEC.2013.6557555"
+        batched=True, accepts_start=True, reference="Tanabe & Fukunaga 2013, doi:10.1109/CEC.2013.6557555"
     )
 
     def minimize(self, problem: MeteredProblem, rng: np.random.Generator) -> None:

@@ -29,7 +29,7 @@ def clone(tmp_path):
     """A folder as a reader has it after following the README: the studies, and the README's own files."""
     shutil.copytree(PROJECT / "studies", tmp_path / "studies")
     quickstart = tmp_path / "studies" / "quickstart.toml"
-    text, changed = re.subn(r"repetitions = \d+", "repetitions = 1", quickstart.read_text(encoding="utf-8"))
+    text, changed = re.subn(r"scenes = \d+", "scenes = 1", quickstart.read_text(encoding="utf-8"))
     assert changed == 1
     quickstart.write_text(re.sub(r"evaluations = \d+", "evaluations = 500", text), encoding="utf-8")
     (solver,) = [text for text in blocks("python") if "Solver)" in text]
@@ -48,7 +48,7 @@ def test_the_two_lines_are_there_and_ci_calls_the_second():
     lines = [line for text in blocks("bash") for line in text.splitlines()]
     setups = [line for line in lines if line.startswith("python3 -m venv")]
     assert len(setups) == 2
-    assert setups[0].endswith("nfbench run studies/quickstart.toml") and setups[1].endswith("pytest")
+    assert setups[0].endswith("nfbench run studies/quickstart.toml") and setups[1].endswith(".venv/bin/pytest -n 2 --dist worksteal")
     script = (PROJECT / ".ci" / "run").read_text(encoding="utf-8")
     pattern = re.search(r"grep -m1 -E '(.*)' README\.md", script)[1]
     assert [line for line in README.splitlines() if re.search(pattern, line)] == [setups[1]]

@@ -1,17 +1,33 @@
-"""Every study of the paper runs in a small version, and the committed ledger follows from the committed tables."""
+"""The studies of the project: each runs in a small version, its claims can be judged, and its committed tables hold."""
 
+import csv
+import functools
 import re
-import sys
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+import pandas as pd
 import pytest
 
 import nfbench
+from nfbench.analysis import Outcomes, judge_claims
+from nfbench.results import cell
+from nfbench.study import Claim, Study, claim_of, swept_column
 
 PROJECT = Path(__file__).parent.parent
+RESULTS = PROJECT / "results"
 MANIFESTS = sorted((PROJECT / "studies" / "paper").glob("*.toml"))
 REFUSED = {"rmse_snr_half": {"modified MUSIC 400×2000"}}  # methods that a study includes to show that they are refused
+NEW = ("line_of_sight", "snr_imbalance")  # studies of results/paper that were run with today's seeds and tables
+JUDGED = sorted([*RESULTS.glob("paper/*/claims.csv"), *RESULTS.glob("optimizer_choice/claims.csv")])
+WITH_CLAIMS = [*MANIFESTS, PROJECT / "studies" / "optimizer_choice.toml"]
+SCENES = 100
+
+
+@functools.cache
+def loaded(manifest: Path) -> Study:
+    return nfbench.load_study(manifest)
 
 
 def small(text: str) -> str:
@@ -25,7 +41,8 @@ def test_a_study_of_the_paper_runs_from_end_to_end(manifest, tmp_path):
     path = tmp_path / manifest.name
     path.write_text(small(manifest.read_text(encoding="utf-8")), encoding="utf-8")
     study = nfbench.load_study(path)
-    study = replace(study, repetitions=1, points=study.points[:: max(len(study.points) - 1, 1)])
+    points = study.points[:: max(len(study.points) - 1, 1)]
+    study = replace(study, scenes=1, points=points, claims=())  # the claims name other points, too
     results = nfbench.run(study, out=tmp_path / "out", jobs=0)
     runs = results.runs
     refused = runs["method"].map(lambda label: any(label.startswith(name[:14]) for name in REFUSED.get(study.name, ())))
@@ -36,28 +53,124 @@ def test_a_study_of_the_paper_runs_from_end_to_end(manifest, tmp_path):
     assert runs[~refused].filter(["crb_m", "floor_m"]).notna().any(axis=1).all()
 
 
+@pytest.mark.parametrize("manifest", WITH_CLAIMS, ids=lambda path: path.stem)
+def test_the_claims_of_a_study_are_decided_by_outcomes_that_decide_them(manifest):
+    """Outcomes at the study's own points, in which one claim clearly holds, confirm it; the opposite contradicts it."""
+    study = loaded(manifest)
+    assert study.claims
+    for claim in map(claim_of, study.claims):
+        for holds, verdict in ((True, "confirmed"), (False, "contradicted")):
+            (found,) = judge_claims([claim], outcomes_where(study, claim, holds))["verdict"]
+            assert found == verdict, claim.text
+
+
+def outcomes_where(study: Study, claim: Claim, holds: bool) -> list[tuple[dict, Outcomes]]:
+    """The outcomes of 100 scenes at every point of a study, in which one claim holds, or its opposite."""
+    rng = np.random.default_rng(0)
+    compare, methods = claim.compare, [method.label for method in study.methods]
+    keys = [swept_column(key) for key in study.swept]
+    values = {
+        name: list(dict.fromkeys(str(p.swept[key]) for p in study.points))
+        for name, key in zip(keys, study.swept, strict=True)
+    }
+    shape = (SCENES, len(methods))
+    points = []
+    for point in study.points:
+        swept = {name: cell(point.swept[key]) for name, key in zip(keys, study.swept, strict=True)}
+        place = values[compare.key].index(str(point.swept[compare.key.partition(".")[2]])) if compare.key else 0
+        number = float(swept[compare.key]) if compare.kind == "exponent" else 1.0
+        level = np.array([level_of(claim, method, place, number, holds) for method in methods])
+        error = level * rng.lognormal(sigma=0.1, size=shape)
+        hits = np.broadcast_to([hit_share(claim, method, holds) for method in methods], shape).astype(int)
+        skipped = np.broadcast_to([holds and method == compare.runs for method in methods], shape).astype(int)
+        outcomes = Outcomes(
+            methods=tuple(methods),
+            scenes=tuple(range(SCENES)),
+            error=error,
+            runs=np.ones(len(methods), dtype=int),
+            hits=hits,
+            cost=error,
+            spent=error,
+            cap=np.full(len(methods), np.inf),
+            columns=dict.fromkeys(("seconds", "runtime_s", "gospa_m"), error),
+            ended={"skipped": skipped, "ok": 1 - skipped},
+        )
+        points.append((swept, outcomes))
+    return points
+
+
+def level_of(claim: Claim, method: str, place: int, number: float, holds: bool) -> float:
+    """The typical value of a method at one value of the claim's key: its number in the sweep, or the number itself."""
+    compare, kind = claim.compare, claim.compare.kind
+    if kind == "better":
+        lower = method in named(compare.better)
+        return (0.01 if holds else 100.0) if lower else 1.0
+    if kind == "equal":
+        return 3.0 if method == compare.equal[0] and not holds else 1.0
+    if kind in ("grows", "falls"):
+        return 2.0 ** (place if (kind == "grows") == holds else -place)
+    if kind in ("changes", "floor"):
+        rises = (compare.at_most is None) == holds
+        return 10.0**place if rises and kind == "changes" else 1.0 if rises or kind == "changes" else 0.1**place
+    if kind == "degrades":
+        return {compare.degrades[1]: 4.0 if holds else 1.0, compare.more_than[1]: 2.0}.get(method, 1.0)
+    if kind == "exponent":
+        return number ** ((compare.at_least + compare.at_most) / 2 if holds else 5.0)
+    return 1.0
+
+
+def hit_share(claim: Claim, method: str, holds: bool) -> bool:
+    """Whether a method hits the target in every scene, or in none."""
+    compare = claim.compare
+    if compare.kind == "fails":
+        return (compare.at_least is None) == holds
+    return (method in named(compare.better)) == holds
+
+
+def named(names: str | tuple[str, ...]) -> tuple[str, ...]:
+    return (names,) if isinstance(names, str) else names
+
+
+def test_the_papers_claims_are_stated():
+    """22 claims of the paper: one takes two comparisons, and one stands there in a weaker form, too."""
+    count = {path.stem: len(loaded(path).claims) for path in MANIFESTS}
+    assert len(MANIFESTS) == 16
+    assert all(count.values())
+    ours = ("line_of_sight", "nlos_severity", "wavefront_mismatch")  # studies that the paper does not have
+    assert sum(number for name, number in count.items() if name not in ours) == 24
+
+
 def test_each_part_of_the_papers_evaluation_has_a_study_and_results():
-    names = {path.stem for path in MANIFESTS}
-    assert len(names) == 16
-    for name in names:
-        folder = PROJECT / "results" / "paper" / name
-        assert (folder / "summary.csv").exists() and (folder / "errors.csv").exists() and any(folder.glob("*.svg"))
-        assert f"{name}/" in (PROJECT / "results" / "paper" / "README.md").read_text(encoding="utf-8")
+    page = (RESULTS / "paper" / "README.md").read_text(encoding="utf-8")
+    for name in (path.stem for path in MANIFESTS):
+        folder = RESULTS / "paper" / name
+        assert (folder / "summary.csv").exists() and any(folder.glob("*.svg"))
+        assert (folder / "ranking.csv").exists() if name in NEW else (folder / "errors.csv").exists()
+        assert f"{name}/" in page
 
 
-def test_the_ledger_follows_from_the_committed_tables(monkeypatch):
-    monkeypatch.syspath_prepend(PROJECT / "results" / "paper")
-    sys.modules.pop("ledger", None)
-    import ledger
+@pytest.mark.parametrize("table", JUDGED, ids=lambda path: path.parent.name)
+def test_the_committed_verdicts_are_on_the_claims_of_the_manifest_and_in_the_page(table):
+    (manifest,) = (PROJECT / "studies").rglob(f"{table.parent.name}.toml")
+    study = loaded(manifest)
+    with table.open(encoding="utf-8", newline="") as file:
+        judged = list(csv.DictReader(file))
+    assert [row["text"] for row in judged] == [claim["text"] for claim in study.claims]
+    assert {int(row["scenes"]) for row in judged} == {study.scenes}
+    page = next(folder / "README.md" for folder in table.parents if (folder / "README.md").exists())
+    text = page.read_text(encoding="utf-8")
+    for row in judged:
+        assert re.search(rf"^\| {re.escape(row['text'])} \| \*\*{row['verdict']}\*\*", text, flags=re.MULTILINE)
 
-    judged = ledger.claims()
-    text = (PROJECT / "results" / "paper" / "README.md").read_text(encoding="utf-8")
-    written = text.split(ledger.BEGIN)[1].split(ledger.END)[0].strip()
-    assert verdicts(written) == verdicts(ledger.page(judged))
-    assert {claim.verdict for claim in judged} <= {"confirmed", "refuted", "undecided"}
-    assert ledger.below(0.5, 0.9) is True and ledger.below(0.9, 1.1) is None and ledger.below(1.1, 1.2) is False
-    assert ledger.alike(0.9, 1.1) is True and ledger.alike(1.3, 1.5) is False and ledger.alike(1.1, 1.5) is None
+
+def test_studies_that_were_run_with_the_present_code_have_verdicts():
+    assert {*NEW} <= {table.parent.name for table in JUDGED}
 
 
-def verdicts(page: str) -> list[tuple[str, str]]:
-    return re.findall(r"^\| \d+ \| ([^|]+) \|[^|]+\| \*\*(\w+)\*\*", page, flags=re.MULTILINE)
+def test_the_error_of_grid_refine_falls_at_every_step_of_the_snr():
+    """The scenes are the same at every SNR, so chance does not bend the curves."""
+    summary = pd.read_csv(RESULTS / "paper" / "line_of_sight" / "summary.csv")
+    rows = summary[summary["method"] == "grid-refine"].sort_values("scenario.snr_db")
+    assert list(rows["scenario.snr_db"]) == [0, 5, 10, 15, 20, 25, 30]
+    assert (np.diff(rows["rmse_m"]) < 0).all()
+    assert (np.diff(rows["median_m"]) < 0).all()

@@ -28,6 +28,9 @@ def described(docstring: str, names: Iterable[str]) -> Described:
     prose: list[str] = []
     texts: dict[str, str] = {}
     for paragraph in re.split(r"\n\s*\n", docstring.strip()):
+        if re.match(r"[*-] ", paragraph):  # a list, whose lines are its items
+            prose.append(paragraph)
+            continue
         pieces = list(_pieces(paragraph, known)) if known else [((), paragraph)]
         for found, text in pieces:
             flat = " ".join(text.split())

@@ -22,13 +22,14 @@ from sphinx.application import Sphinx
 from sphinx.util import logging
 from sphinx.util.docutils import SphinxDirective
 
-from nfbench.core import OneOf, Options, PluginOption, Solver, Tune, canonical
+from nfbench.core import OneOf, Options, PluginOption, Solver, TargetOption, Tune, canonical
 from nfbench.plugins import Registry
 
 __all__ = ["Key", "keys", "option_classes", "setup"]
 
 UNITS = {"_m": "m", "_deg": "°", "_db": "dB", "_hz": "Hz", "_s": "s", "_mb": "MiB", "_wavelengths": "λ"}
 NAMED_UNITS = {"seconds": "s"}
+NONE = {":": "default:", " for": "default:", " if": "leave it out if", ", or": "leave it out, or give"}
 IN_BRACKETS = {"m", "s", "°", "dB", "λ", "MiB", "rad", "°, m", "rad, m"}
 
 _log = logging.getLogger(__name__)
@@ -47,11 +48,12 @@ class Key:
 
 def option_classes() -> Iterator[tuple[str, type[Options]]]:
     """(title, class) of everything whose options a manifest can set."""
-    from nfbench.core import Budget
+    from nfbench.core import Budget, TargetTable
     from nfbench.plugins.groups import Group
-    from nfbench.study.schema import Limits, Manifest, MethodTable, Summary
+    from nfbench.study import Compare
+    from nfbench.study.schema import Limits, Manifest, MethodTable, Summary, Targets
 
-    for cls in (Manifest, Limits, Summary, MethodTable, Group, Budget):
+    for cls in (Manifest, Limits, Summary, Targets, Compare, MethodTable, Group, Budget, TargetTable):
         yield cls.__name__, cls
     registry = Registry()
     for kind in ("scenario", "formulation", "solver"):
@@ -81,7 +83,8 @@ def keys(cls: type[Options]) -> list[Key]:
         text = texts.get(field.name, "")
         default = _default(field)
         if default == "none":  # Python's word; a manifest has none, it leaves the key out
-            text = re.sub(r"\b[Nn]one: ", "default: ", text)
+            for word, instead in NONE.items():
+                text = re.sub(rf"\b[Nn]one{word} ", f"{instead} ", text)
         found.append(Key(field.name, _type(hints[field.name]), _unit(field.name, text), default, text))
     return found
 
@@ -108,6 +111,8 @@ def _is_table(hint: Any) -> bool:
 def _type(hint: Any) -> str:
     """The type in the words of a manifest: ``integer ≥ 4``, ``"clip" or "resample"``, ``list of number``."""
     origin, arguments = typing.get_origin(hint), typing.get_args(hint)
+    if hint == TargetOption:
+        return "number or table"
     if marks := _marks(hint):
         if isinstance(marks[0], OneOf):
             return f"table of kind {', '.join(marks[0].classes)}"
@@ -115,6 +120,8 @@ def _type(hint: Any) -> str:
         return " ".join([_type(arguments[0]), " and ".join(limits)]).strip()
     if _is_table(hint) or hint is PluginOption or origin is dict:
         return "table"
+    if origin is tuple and Any in arguments:
+        return "list"
     if origin is tuple:
         parts = [part for part in arguments if part is not ...]
         return f"list of {_type(parts[0])}" if ... in arguments else f"[{', '.join(map(_type, parts))}]"

@@ -21,7 +21,7 @@ from nfbench.figures import Drawing, write_figures
 MANIFEST = """
 name = "small"
 title = "Two sources, 32 elements"
-repetitions = 8
+scenes = 8
 seed = 1
 
 [scenario]
@@ -64,10 +64,10 @@ results = nfbench.run(study, out=folder / "results", jobs=0)
 results.summary()[["scenario.snr_db", "method", "rmse_m", "median_m", "crb_m", "evaluations"]].round(4)
 
 # %%
-# The same figures as from ``nfbench figure DIR``. The first one shows the error against what was swept, with the
+# Two of the figures of ``nfbench figure DIR``. The first one shows the error against what was swept, with the
 # Cramér–Rao bound. With eight scenes, and a box that limits the range, an RMSE can lie below the bound.
 
-how = Drawing(width="double", positions=False)
+how = Drawing(width="double", only=("error", "runtime"))
 error, runtime = write_figures(results, folder / "figures", ["png"], how)
 
 
@@ -91,4 +91,4 @@ show(runtime)
 # ``results.runs`` has every run, as a pandas frame. The columns are explained in :doc:`/reference/columns`.
 
 runs = results.runs
-runs[["method", "repetition", "scenario.snr_db", "rmse_m", "error_1_m", "error_2_m", "status"]].head(6).round(4)
+runs[["method", "scene", "scenario.snr_db", "rmse_m", "error_1_m", "error_2_m", "status"]].head(6).round(4)

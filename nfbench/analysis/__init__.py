@@ -1,36 +1,90 @@
-"""The statistics of nfbench: summaries, intervals and comparisons of runs, and the sentences that state them.
+"""The statistics of nfbench: summaries, intervals, tests, rankings and claims, and the sentences that state them.
 
 The functions take tables and arrays, not folders, so they can analyse rows from any source.
 """
 
 from __future__ import annotations
 
-from .statistics import (
-    CONFIDENCE,
-    MIN_RUNS,
-    bootstrap,
-    mean,
-    mean_interval,
-    median_interval,
-    percentile_interval,
-    rms,
-    rms_interval,
+from .claims import judge_claims
+from .distributions import (
+    Axis,
+    aocc_table,
+    attainment,
+    fixed_budget_table,
+    fixed_target_table,
+    performance_profile,
+    runtime_distribution,
+    value_at,
 )
+from .intervals import (
+    bounded_mean_interval,
+    ecdf_band,
+    ert,
+    ert_interval,
+    quantile_interval,
+    ratio_interval,
+    rms_of_solved_interval,
+    share_interval,
+    variance_components,
+)
+from .outcomes import Outcomes, Point, outcomes
+from .paired import PairedChange, paired_change, tuning_verdict
+from .ranking import ALL, Block, Ranking, rank
+from .sentences import sentence, sentences
+from .sign_flips import holm, log_ratios, sign_flip_pvalue, signed_ranks
 from .summary import default_groups, summarize
-from .verdicts import judge, verdict
+from .targets import (
+    Target,
+    default_targets,
+    first_reached,
+    parse_targets,
+    reached_for_good,
+    swept_columns,
+    target_table,
+)
 
 __all__ = [
-    "CONFIDENCE",
-    "MIN_RUNS",
-    "bootstrap",
+    "ALL",
+    "Axis",
+    "Block",
+    "Outcomes",
+    "PairedChange",
+    "Point",
+    "Ranking",
+    "Target",
+    "aocc_table",
+    "attainment",
+    "bounded_mean_interval",
     "default_groups",
-    "judge",
-    "mean",
-    "mean_interval",
-    "median_interval",
-    "percentile_interval",
-    "rms",
-    "rms_interval",
+    "default_targets",
+    "ecdf_band",
+    "ert",
+    "ert_interval",
+    "first_reached",
+    "fixed_budget_table",
+    "fixed_target_table",
+    "holm",
+    "judge_claims",
+    "log_ratios",
+    "outcomes",
+    "paired_change",
+    "parse_targets",
+    "performance_profile",
+    "quantile_interval",
+    "rank",
+    "ratio_interval",
+    "reached_for_good",
+    "rms_of_solved_interval",
+    "runtime_distribution",
+    "sentence",
+    "sentences",
+    "share_interval",
+    "sign_flip_pvalue",
+    "signed_ranks",
     "summarize",
-    "verdict",
+    "swept_columns",
+    "target_table",
+    "tuning_verdict",
+    "value_at",
+    "variance_components",
 ]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import zlib
 from collections.abc import Sequence
 from typing import Any
 
@@ -14,7 +13,8 @@ from numpy import ndarray
 
 from nfbench.core import Status
 
-from .statistics import rms, rms_interval
+from .intervals import quantile_interval
+from .targets import swept_columns
 
 __all__ = ["default_groups", "summarize"]
 
@@ -33,16 +33,18 @@ def summarize(
     from the runs with status ok, and are NaN where no such run has a value:
 
     * ``runs``: number of runs; ``failed``: number of runs with another status than ok.
-    * ``rmse_m``: root mean square of the runs' ``rmse_m``; ``rmse_m_low`` and ``rmse_m_high``: its 95 % bootstrap
-      interval (percentiles of 2,000 resamples), NaN for fewer than 6 runs.
-    * ``median_m`` and ``q90_m``: median and 90 % quantile of ``rmse_m`` over the runs.
+    * ``rmse_m``: root mean square of the runs' ``rmse_m``; ``rmse_m_low`` and ``rmse_m_high``: empty, because no
+      interval of it is valid: a few outliers decide its value.
+    * ``median_m`` and ``q90_m``: median and 90 % quantile of ``rmse_m`` over the runs; ``median_m_low`` and
+      ``median_m_high``: the 95 % interval of the median over scenes, in which runs that are not ok count as infinite
+      and of several runs on one scene the median counts; NaN for fewer than 6 scenes.
     * ``outlier_rate``: share of the true sources of all runs whose error exceeds ``outlier_m`` or that were not found.
     * ``crb_m``: root mean square of the Cramér–Rao bound.
     * ``evaluations`` and ``runtime_s``: means over the runs.
     * ``floor_m``: root mean square of the error that remains at any SNR.
     * ``gospa_m``: root mean square of the GOSPA; ``sources_found``: mean over the runs.
-    * If ``error`` is not ``rmse_m``: ``<error>``, ``<error>_low``, ``<error>_high``, ``<error>_median`` and
-      ``<error>_q90``, computed like the columns of ``rmse_m``.
+    * If ``error`` is not ``rmse_m``: ``<error>``, ``<error>_low``, ``<error>_high``, ``<error>_median``,
+      ``<error>_q90``, ``<error>_median_low`` and ``<error>_median_high``, computed like the columns of ``rmse_m``.
 
     A run that found no source has no ``rmse_m``, but it counts in ``outlier_rate`` and ``gospa_m``. A few scenes with
     closely spaced sources may dominate ``crb_m``, as outliers may dominate ``rmse_m``; compare the two columns only in
@@ -54,20 +56,19 @@ def summarize(
         raise ValueError(f"by: expected columns of runs, got {', '.join(missing)}; known: {', '.join(runs.columns)}")
     rows = []
     for key, group in runs.groupby(by, sort=False, dropna=False):
-        rows.append({**dict(zip(by, key, strict=True)), **_summary(group, str(key), error, outlier_m)})
+        rows.append({**dict(zip(by, key, strict=True)), **_summary(group, error, outlier_m)})
     return pd.DataFrame(rows)
 
 
 def default_groups(runs: pd.DataFrame) -> list[str]:
     """Return the columns of the swept keys, followed by formulation, solver and method."""
-    return [name for name in runs.columns if name.startswith("scenario.")] + ["formulation", "solver", "method"]
+    return [*swept_columns(runs), "formulation", "solver", "method"]
 
 
-def _summary(group: pd.DataFrame, name: str, error: str, outlier_m: float) -> dict[str, Any]:
+def _summary(group: pd.DataFrame, error: str, outlier_m: float) -> dict[str, Any]:
     ok = group[group["status"] == Status.OK]
-    rng = np.random.default_rng(zlib.crc32(name.encode()))  # the same table gives the same interval
     row: dict[str, Any] = {"runs": len(group), "failed": len(group) - len(ok)}
-    row |= _spread(_values(ok, "rmse_m"), rng, "rmse_m", "median_m", "q90_m")
+    row |= _spread(_values(ok, "rmse_m"), "rmse_m", "median_m", "q90_m")
     row["outlier_rate"] = _outlier_rate(ok, outlier_m)
     row["crb_m"] = _root_mean_square(_values(ok, "crb_m"))
     row["evaluations"] = _mean(_values(ok, "evaluations"))
@@ -76,18 +77,27 @@ def _summary(group: pd.DataFrame, name: str, error: str, outlier_m: float) -> di
     row["gospa_m"] = _root_mean_square(_values(ok, "gospa_m"))
     row["sources_found"] = _mean(_values(ok, "sources_found"))
     if error != "rmse_m":
-        row |= _spread(_values(ok, error), rng, error, f"{error}_median", f"{error}_q90")
-    return row
+        row |= _spread(_values(ok, error), error, f"{error}_median", f"{error}_q90")
+        row |= _median_interval(group, error, f"{error}_median")
+    return row | _median_interval(group, "rmse_m", "median_m")
 
 
-def _spread(
-    errors: Float[ndarray, " runs"], rng: np.random.Generator, name: str, median: str, q90: str
-) -> dict[str, float]:
-    low, high = rms_interval(errors, rng)
+def _median_interval(group: pd.DataFrame, error: str, name: str) -> dict[str, float]:
+    """The 95 % interval of the median over scenes; runs that are not ok count as infinite."""
+    low = high = np.nan
+    if error in group.columns:
+        errors = group[error].where(group["status"] == Status.OK).fillna(np.inf)
+        scenes = group["scene"] if "scene" in group.columns else pd.Series(range(len(group)), group.index)
+        if len(group) and np.isfinite(errors).any():
+            low, high = quantile_interval(errors.groupby(scenes).median().to_numpy(dtype=np.float64))
+    return {f"{name}_low": low, f"{name}_high": high}
+
+
+def _spread(errors: Float[ndarray, " runs"], name: str, median: str, q90: str) -> dict[str, float]:
     return {
         name: _root_mean_square(errors),
-        f"{name}_low": low,
-        f"{name}_high": high,
+        f"{name}_low": np.nan,
+        f"{name}_high": np.nan,
         median: float(np.median(errors)) if len(errors) else np.nan,
         q90: float(np.quantile(errors, 0.9)) if len(errors) else np.nan,
     }
@@ -112,7 +122,7 @@ def _values(ok: pd.DataFrame, name: str) -> Float[ndarray, " runs"]:
 
 
 def _root_mean_square(values: Float[ndarray, " runs"]) -> float:
-    return float(rms(values)) if len(values) else np.nan
+    return float(np.sqrt(np.mean(values**2))) if len(values) else np.nan
 
 
 def _mean(values: Float[ndarray, " runs"]) -> float:

@@ -5,7 +5,7 @@ Nothing in this package depends on studies, results or processes.
 
 from __future__ import annotations
 
-from .budget import Budget
+from .budget import Budget, TargetOption, TargetTable
 from .errors import (
     BudgetExhausted,
     Incompatible,
@@ -21,7 +21,7 @@ from .errors import (
 )
 from .formulation import Formulation, Minimize
 from .meter import MeteredProblem
-from .minimization import minimize
+from .minimization import budget_problem, budget_warning, common_start, minimize, start_problem
 from .minimum import Minimum
 from .options import (
     FilePath,
@@ -80,11 +80,16 @@ __all__ = [
     "SolverInfo",
     "Status",
     "StoreError",
+    "TargetOption",
+    "TargetTable",
     "Trace",
     "Tune",
+    "budget_problem",
+    "budget_warning",
     "build",
     "canonical",
     "cause_of_end",
+    "common_start",
     "die_with_parent",
     "end_group_at_eof",
     "explain",
@@ -92,5 +97,6 @@ __all__ = [
     "minimize",
     "printable",
     "relative_to",
+    "start_problem",
     "suggest",
 ]

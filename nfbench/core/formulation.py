@@ -39,6 +39,14 @@ class Formulation(Options, ABC):
         """
         return []
 
+    def estimates(self, instance: Any, X: ndarray) -> ndarray | None:
+        """Return the estimates (r, ...) that ``solve`` would return if its only minimizer were each row of X (r, n).
+
+        This gives the error along a trace. The default is None: the estimate does not depend on the minimizer of a
+        single problem alone, for example because the formulation minimizes several problems or refines the minimizer.
+        """
+        return None
+
     @abstractmethod
     def solve(self, instance: Any, minimize: Minimize) -> ndarray:
         """Return the estimate for ``instance``, in the form that ``instance.score`` expects.

@@ -6,6 +6,7 @@ import math
 import sys
 import threading
 import time
+from collections.abc import Callable
 from operator import le
 from typing import final
 
@@ -13,7 +14,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from .budget import Budget
+from .budget import Budget, objective_target
 from .errors import BudgetExhausted, InvalidEvaluation
 from .problem import Problem, check_box
 from .trace import Recorder, Trace
@@ -21,6 +22,7 @@ from .trace import Recorder, Trace
 __all__ = ["MeteredProblem"]
 
 _FLOAT64 = np.dtype(np.float64)
+_SLICE_S, _SLICE_SHARE = 0.0005, 0.05  # a batch is divided near the deadline; time of one part: [s] + share of seconds
 _SMALL = 32  # up to this dimension, a Python loop over the bounds is faster than NumPy
 
 
@@ -29,22 +31,33 @@ class MeteredProblem(Problem):
     """Counts every evaluation of ``problem``, keeps the best point, and stops the solver at the budget.
 
     * No evaluation beyond the budget is made. A batch that would exceed the budget is truncated, the remaining
-      evaluations are made, and BudgetExhausted is raised. Every later call raises BudgetExhausted too.
+      evaluations are made, and BudgetExhausted is raised. Every later call raises BudgetExhausted too. A batch that
+      will not end before the deadline is evaluated in parts, and it is truncated where the deadline has passed.
+      BudgetExhausted is also raised instead of returning values if the solver would use them only after the deadline,
+      judging by the time between its last two calls.
     * A point outside the box or of the wrong shape is not evaluated. The call raises InvalidEvaluation, and the run
       becomes ``invalid``. Evaluation never clips a point.
     * A value that is NaN or infinite is returned to the solver as +inf and never becomes the best value;
       ``nonfinite`` counts these values.
     * ``lower``, ``upper`` and ``best_point`` are read-only, and so are the counts and the best value. The solver may
       change the arrays that a call returns.
+    * ``start`` holds the points that were evaluated before the solver began, for solvers that can continue from them.
     * Threads may share a meter: each of their evaluations counts, and none is made beyond the budget.
     """
 
-    def __init__(self, problem: Problem, budget: Budget) -> None:
+    def __init__(
+        self,
+        problem: Problem,
+        budget: Budget,
+        reached: Callable[[Float[ndarray, " n"], float], bool] | None = None,
+    ) -> None:
         self.lower, self.upper = check_box(problem.lower, problem.upper)
         self.has_gradient = problem.has_gradient  # type: ignore[misc]  # depends on the wrapped problem
         self.fault: str | None = None
         self.population: Float[ndarray, "p n"] | None = None
         self.population_values: Float[ndarray, " p"] | None = None
+        self.start: Float[ndarray, "p n"] | None = None
+        self.start_values: Float[ndarray, " p"] | None = None
         self._evaluations = self._gradients = self._nonfinite = 0
         self._best_value = math.inf
         self._best_point: Float[ndarray, " n"] | None = None
@@ -52,13 +65,17 @@ class MeteredProblem(Problem):
         self._problem = problem
         self._value = problem.value
         self._limit = budget.evaluations if budget.evaluations is not None else sys.maxsize
-        self._target = budget.target if budget.target is not None else -math.inf
+        self._reached = reached
+        self._target = objective_target(problem, budget, reached)
         self._shape = self.lower.shape
         self._lower, self._upper = self.lower.tolist(), self.upper.tolist()
         self._lowers, self._uppers = self.lower[None], self.upper[None]  # one row per point, as broadcasting is slower
         self._small = len(self._lower) <= _SMALL
         self._recorder = Recorder()
-        self._start = time.perf_counter()
+        self._cost_s = math.inf  # time of one evaluation of the last batch; this and the following are for the deadline
+        self._pause_s = 0.0  # time of the solver between its last two calls
+        self._slice_s = _SLICE_S + _SLICE_SHARE * (budget.seconds or 0.0)
+        self._start = self._returned = time.perf_counter()
         self._deadline = self._start + budget.seconds if budget.seconds is not None else None
 
     @property
@@ -92,9 +109,19 @@ class MeteredProblem(Problem):
         return self._limit - self.evaluations
 
     @property
+    def remaining_s(self) -> float:
+        """Wall-clock time left [s], at least 0; infinity without a limit on seconds."""
+        return math.inf if self._deadline is None else max(self._deadline - time.perf_counter(), 0.0)
+
+    @property
+    def reached(self) -> bool:
+        """Whether the best point meets the target of the budget; false if there is no target."""
+        return self.best_value <= self._target
+
+    @property
     def spent(self) -> bool:
         """Whether the budget is used up or its target has been reached."""
-        if self.evaluations >= self._limit or self.best_value <= self._target:
+        if self.evaluations >= self._limit or self.reached:
             return True
         return self._deadline is not None and time.perf_counter() >= self._deadline
 
@@ -129,21 +156,26 @@ class MeteredProblem(Problem):
         value = self._value(x)
         if type(value) is not float:
             value = self._scalar(value)
-        if self._best_value <= value < math.inf:  # the most common case; false for NaN
-            return value
-        return self._record(number, x, value)
+        if not self._best_value <= value < math.inf:  # the rare case; true for NaN
+            value = self._record(number, x, value)
+        if self._deadline is not None:
+            self._look_ahead(self._deadline)
+        return value
 
     def evaluate(self, X: Float[ndarray, "p n"]) -> Float[ndarray, " p"]:
         """Evaluate p points, one per row, and return their values."""
         X = np.asarray(X, dtype=np.float64)
         if X.ndim != 2 or X.shape[1:] != self._shape:
             self._reject(f"expected a batch of shape (p, {self.dimension}), got {X.shape}")
-        count = len(X)
-        if not count:
+        if not len(X):
             return np.empty(0)
         self._check_budget()
         self._check_batch(X)
-        before = self._evaluations
+        return self._evaluate(X) if self._deadline is None else self._evaluate_until(self._deadline, X)
+
+    def _evaluate(self, X: ndarray) -> ndarray:
+        """Evaluate points that have been checked."""
+        count, before = len(X), self._evaluations
         if count > self._limit - before:
             count = self._limit - before
         self._evaluations = before + count  # as for a single point: no call since ``before``
@@ -166,6 +198,47 @@ class MeteredProblem(Problem):
             raise BudgetExhausted
         return values
 
+    def _evaluate_until(self, deadline: float, X: ndarray) -> ndarray:
+        """Evaluate points that have been checked; in parts, unless half of the time left is expected to suffice."""
+        parts, done, now = [], 0, time.perf_counter()
+        while done < len(X):
+            if done and (now >= deadline or self._evaluations >= self._limit):
+                raise BudgetExhausted
+            time_s = max(self._slice_s, 0.5 * (deadline - now))
+            size = max(int(min(time_s / self._cost_s, len(X) - done)), 1)
+            parts.append(self._evaluate(X[done : done + size]))
+            done += size
+            before, now = now, time.perf_counter()
+            self._cost_s = max((now - before) / size, 1e-9)
+        self._look_ahead(deadline)
+        return parts[0] if len(parts) == 1 else np.concatenate(parts)
+
+    def begin(self, start: Float[ndarray, "p n"]) -> None:
+        """Evaluate the points from which the run starts, and keep them as ``start`` with ``start_values``."""
+        values = self.evaluate(start)
+        self.start, self.start_values = np.array(start, dtype=np.float64), values
+
+    def first_population(
+        self, size: int, rng: np.random.Generator
+    ) -> tuple[Float[ndarray, "size n"], Float[ndarray, " size"]]:
+        """Return an evaluated initial population ``(size, n)`` and its values ``(size,)``.
+
+        It consists of the best points of ``start``, in their order, completed by uniform random points.
+        """
+        if self.start is None or self.start_values is None:
+            x = self.from_unit(rng.random((size, self.dimension)))
+            return x, self.evaluate(x)
+        kept = np.sort(np.argsort(self.start_values, kind="stable")[:size])
+        x, f = self.start[kept], self.start_values[kept]
+        more = self.from_unit(rng.random((size - len(x), self.dimension)))
+        return np.vstack([x, more]), np.concatenate([f, self.evaluate(more)])
+
+    def first_point(self, rng: np.random.Generator) -> Float[ndarray, " n"]:
+        """Return a point of the unit box (n,) to start at: the best of ``start``, or else a uniform random point."""
+        if self.start is None or self.start_values is None:
+            return rng.random(self.dimension)
+        return np.asarray(np.clip(self.to_unit(self.start[self.start_values.argmin()]), 0.0, 1.0))
+
     def keep_population(self, X: Float[ndarray, "p n"], values: Float[ndarray, " p"]) -> None:
         """Keep the solver's current population and its values, for formulations that use more than the best point.
 
@@ -182,7 +255,7 @@ class MeteredProblem(Problem):
             self._problem.keep_population(X, values)
 
     def part(self, share: float = 1.0, evaluations: int | None = None) -> MeteredProblem:
-        """Return a meter of this problem with a smaller budget.
+        """Return a meter of this problem with a smaller budget, without ``start``.
 
         The new budget is the ``share``, in (0, 1], of the evaluations and seconds that are left here, and at most
         ``evaluations`` evaluations if that is given. The share of the evaluations is rounded, but is at least 1.
@@ -210,7 +283,10 @@ class MeteredProblem(Problem):
         value, gradient = self._problem.value_and_gradient(x)
         with self._lock:
             self._gradients += 1
-        return self._record(number, x, self._scalar(value)), np.array(gradient, dtype=np.float64)
+        value = self._record(number, x, self._scalar(value))
+        if self._deadline is not None:
+            self._look_ahead(self._deadline)
+        return value, np.array(gradient, dtype=np.float64)
 
     def audit(self, budget: Budget) -> str | None:
         """What contradicts the budget or the trace, if the solver wrote to this meter's private state; otherwise None.
@@ -254,10 +330,21 @@ class MeteredProblem(Problem):
     def _check_budget(self) -> None:
         if self._evaluations >= self._limit or self._best_value <= self._target:  # the same as ``spent``, but faster
             raise BudgetExhausted
-        if self._deadline is not None and time.perf_counter() >= self._deadline:
-            raise BudgetExhausted
+        if self._deadline is not None:
+            now = time.perf_counter()
+            if now >= self._deadline:
+                raise BudgetExhausted
+            if self._evaluations:
+                self._pause_s = now - self._returned
         if self.fault is not None:
             raise InvalidEvaluation(self.fault)
+
+    def _look_ahead(self, deadline: float) -> None:
+        """Raise BudgetExhausted if the solver's next call would come clearly after the deadline."""
+        self._returned = time.perf_counter()
+        if self._returned + self._pause_s > deadline + self._slice_s:
+            self._deadline = self._start  # no call is accepted any more
+            raise BudgetExhausted
 
     def _record(self, number: int, x: ndarray, value: float) -> float:
         """Record the value of the evaluation with this number; the value that the solver receives."""
@@ -267,6 +354,7 @@ class MeteredProblem(Problem):
                 value = math.inf
             if value < self._best_value or not self._recorder.rows:
                 self._improve(number, x, value)
+                self._judge()
         return value
 
     def _record_batch(self, before: int, batch: ndarray, values: ndarray) -> None:
@@ -277,6 +365,12 @@ class MeteredProblem(Problem):
             improved[0] |= not self._recorder.rows
             for i in np.flatnonzero(improved):
                 self._improve(before + int(i) + 1, batch[i], float(values[i]))
+            self._judge()
+
+    def _judge(self) -> None:
+        """Apply the predicate ``reached`` to the best point, and end the run if it is true."""
+        if self._reached is not None and self._best_point is not None:
+            self._target = math.inf if self._reached(self._best_point, self._best_value) else -math.inf
 
     def _improve(self, number: int, x: ndarray, value: float) -> None:
         point = x.copy()

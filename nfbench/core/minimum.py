@@ -28,6 +28,7 @@ class Minimum:
     trace: improvements of the best value, thinned to fewer than 1,000 rows.
     population: last population of the solver, (p, n), best point first; None if the solver keeps no population.
     population_values: objective values of the population, (p,); None if the solver keeps no population.
+    reached: whether the best point meets the target of the budget; false if there is no target.
     """
 
     x: Float[ndarray, " n"]
@@ -41,3 +42,4 @@ class Minimum:
     trace: Trace
     population: Float[ndarray, "p n"] | None = None
     population_values: Float[ndarray, " p"] | None = None
+    reached: bool = False

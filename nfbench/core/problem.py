@@ -19,11 +19,14 @@ class Problem(ABC):
 
     A subclass sets ``lower`` and ``upper``, which are finite float64 arrays of shape ``(n,)`` with lower < upper, and
     implements ``evaluate``. Its docstring states the units of the unknowns and of the value.
+
+    ``minimum`` is the smallest value over the box where it is known, else None. A gap is measured from it.
     """
 
     lower: Float[ndarray, " n"]
     upper: Float[ndarray, " n"]
     has_gradient: ClassVar[bool] = False
+    minimum: float | None = None
 
     @property
     def dimension(self) -> int:

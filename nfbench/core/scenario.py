@@ -26,6 +26,15 @@ class Instance(ABC):
         unless the estimate is empty, which is the valid result that no source was found.
         """
 
+    def errors(self, measure: str, estimates: ndarray) -> ndarray:
+        """Return the score ``measure`` of many estimates (r, ...) at once, as an array (r,).
+
+        It is computed along whole traces, so override it where that is faster than one call of ``score`` per estimate.
+        Each value must agree with that of ``score``. Raises KeyError if there is no such score, and ValueError if the
+        estimates have the wrong shape.
+        """
+        return np.array([self.score(estimate)[measure] for estimate in estimates], dtype=np.float64)
+
     def positions(self, estimate: ndarray) -> tuple[ndarray, ndarray] | None:
         """Return the true and the estimated positions of the sources for figures: two arrays (K, 3), Cartesian [m].
 

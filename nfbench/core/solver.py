@@ -31,6 +31,11 @@ class SolverInfo:
     extra: name of the package's optional extra that installs the modules in ``requires``; None if there is none.
     requires: modules that the solver imports when it runs and that its package does not always install.
     composed: whether the solver runs other solvers, which its options name; such solvers belong to no group.
+    needs_evaluations: whether the solver works only if the budget limits the evaluations, because its search depends on
+    the share of them that is spent.
+    plans_evaluations: whether the search depends on the number of evaluations in the budget; if the budget has none,
+    the solver plans for its option ``horizon``.
+    accepts_start: whether the solver continues from ``problem.start`` if points are given there.
     """
 
     stochastic: bool = True
@@ -43,6 +48,9 @@ class SolverInfo:
     extra: str | None = None
     requires: tuple[str, ...] = ()
     composed: bool = False
+    needs_evaluations: bool = False
+    plans_evaluations: bool = False
+    accepts_start: bool = False
 
 
 @dataclass(frozen=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import numbers
 import time
 from typing import Any
 
@@ -16,6 +17,7 @@ from nfbench.core import (
     NfbenchError,
     Problem,
     Status,
+    common_start,
     explain,
     message_of,
     minimize,
@@ -24,6 +26,7 @@ from nfbench.core import (
 from nfbench.plugins import Registry
 from nfbench.study import PluginSpec, RunRecord, RunSpec
 
+from .stopping import Stopping
 from .storable import Unstorable, plain_estimate, plain_scores
 
 __all__ = ["execute"]
@@ -63,7 +66,7 @@ def execute(spec: RunSpec, registry: Registry, *, interruptible: bool = True) ->
         evaluations=sum(minimum.evaluations for minimum in minima),
         runtime_s=attempt.runtime_s,
         cpu_s=attempt.cpu_s,
-        scores=attempt.scores,
+        scores={**attempt.scores, **attempt.facts(status)},
         estimate=attempt.estimate,
         traces=tuple(minimum.trace.thinned(max(MAX_ROWS // len(minima), 2)) for minimum in minima),
     )
@@ -86,6 +89,7 @@ class _Attempt:
         self.minima: list[Minimum] = []
         self.scores: dict[str, float] = {}
         self.estimate: list[Any] | None = None
+        self.optimum: Any = None  # known minimum of the first problem
         self.runtime_s = self.cpu_s = math.nan
 
     def run(self) -> tuple[Status, str]:
@@ -93,16 +97,25 @@ class _Attempt:
         scenario = self.registry.make("scenario", *_available(self.spec.point.scenario))
         formulation = self.registry.make("formulation", *_available(method.formulation))
         solver = self.registry.make("solver", *_available(method.solver)) if method.solver else None
-        budget = Budget(**method.budget) if method.budget else None
+        limits = dict(method.budget or {})
+        start = limits.pop("start", None)
+        budget = Budget(**limits) if limits else None
         if solver:
             solver.warm_up()
         instance = scenario.draw(np.random.default_rng(self.spec.instance_seed))
 
+        stopping = Stopping(budget.target if budget else None, scenario, formulation, instance)
+
         def minimize_next(problem: Problem) -> Minimum:
             if solver is None or budget is None:
                 raise NfbenchError(f"{method.formulation.kind} declares `needs_solver = False` but called `minimize`")
-            rng = np.random.default_rng([self.spec.solver_seed, len(self.minima)])
-            self.minima.append(minimize(problem, solver, budget, rng))
+            number = len(self.minima)
+            if not number:
+                self.optimum = getattr(problem, "minimum", None)
+            reached = stopping.test(problem)
+            sample = common_start(problem, start, [self.spec.instance_seed, number]) if start else None
+            rng = np.random.default_rng([self.spec.solver_seed, number])
+            self.minima.append(minimize(problem, solver, budget, rng, start=sample, reached=reached))
             if self.minima[-1].status is not Status.OK:
                 raise _Ended(self.minima[-1].status, self.minima[-1].message)
             return self.minima[-1]
@@ -121,6 +134,23 @@ class _Attempt:
         if estimate.size and math.isnan(self.scores.get(scenario.error, math.nan)):
             raise _Ended(Status.INVALID, f"{scenario.error} of the estimate is NaN")
         return Status.OK, "; ".join(minimum.message for minimum in self.minima if minimum.message)
+
+    def facts(self, status: Status) -> dict[str, float]:
+        """What the run records beside the scores of its estimate.
+
+        target_reached: 1 if the best point of every problem reached the target, else 0; only where a target was set.
+        optimum: known minimum of the first problem, in its unit; only where it is known.
+        gradients: number of gradients over all problems; only if there were any.
+        """
+        facts = {}
+        target = (self.spec.method.budget or {}).get("target")
+        if target is not None and status is not Status.SKIPPED:
+            facts["target_reached"] = float(bool(self.minima) and all(minimum.reached for minimum in self.minima))
+        if isinstance(self.optimum, numbers.Real):
+            facts["optimum"] = float(self.optimum)
+        if gradients := sum(minimum.gradients for minimum in self.minima):
+            facts["gradients"] = float(gradients)
+        return facts
 
 
 def _available(spec: PluginSpec) -> tuple[str, dict[str, Any]]:

@@ -19,8 +19,10 @@ MOST_SCORES = 1_000
 NAME_LENGTH = 64
 RESERVED = frozenset(
     (
-        *("run_id", "study", "scenario", "formulation", "solver", "repetition", "status", "message", "objective"),
+        *("run_id", "study", "scenario", "formulation", "solver", "repetition", "scene", "run"),
+        *("status", "message", "objective"),
         *("evaluations", "runtime_s", "cpu_s", "instance_seed", "solver_seed", "method", "host", "worker", "finished"),
+        *("target_reached", "optimum", "gradients"),
     )
 )  # columns that a score must not replace
 
@@ -54,7 +56,7 @@ def plain_scores(found: Any) -> dict[str, float]:
 def _name(name: Any) -> str:
     if not isinstance(name, str) or not name or len(name) > NAME_LENGTH or printable(name) != name:
         raise Unstorable(f"score: expected column names of 1 to {NAME_LENGTH} printable characters, got {name!r:.200}")
-    if name in RESERVED or name.startswith("scenario."):
+    if name in RESERVED or name.startswith(("scenario.", "budget.")):
         raise Unstorable(f"score: {name!r} is the name of another column; use a name of its own")
     return str(name)
 

@@ -1,4 +1,4 @@
-"""Figures of a study: error against the swept values, run time against error, positions, convergence.
+"""Figures of a study: errors, run times, runtime distributions, rankings, convergence and positions.
 
 This package imports matplotlib, so it is itself imported only where figures are drawn.
 """
@@ -10,23 +10,28 @@ import io
 import os
 import warnings
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, final
+from typing import Any
 
 from matplotlib.figure import Figure
 
 from nfbench.core import NfbenchError
 from nfbench.results import Results
 
+from .attainment import attainment_figure
 from .convergence import convergence_figure
-from .data import Wanted, drawn
+from .cost import ert_figure
+from .data import Drawn, drawn
+from .distribution import distribution_figure
+from .drawing import KINDS, Drawing, Kind, NotDrawnError
 from .error import error_figures
 from .positions import few_enough, position_figures
+from .ranks import ranks_figure
 from .runtime import runtime_figure
 from .style import styled
+from .tradeoff import spread_of_costs, tradeoff_figure
 
-__all__ = ["FORMATS", "Drawing", "figures", "styled", "write_figures"]
+__all__ = ["FORMATS", "KINDS", "Drawing", "Kind", "figures", "styled", "write_figures"]
 
 FORMATS: dict[str, dict[str, Any]] = {  # metadata; None drops what changes with the date or version
     "svg": {"Date": None, "Creator": "nfbench"},
@@ -35,27 +40,15 @@ FORMATS: dict[str, dict[str, Any]] = {  # metadata; None drops what changes with
 }
 
 
-@final
-@dataclass(frozen=True)
-class Drawing:
-    """How figures are drawn.
-
-    width: "single" for the width of an IEEE column (3.5 in), "double" for that of a page (7.16 in).
-    metric: the error measure to show; None: RMSE, median, and the outlier rate if there are outliers.
-    title: whether to print the study's title above each figure.
-    positions: whether to draw true and estimated positions; None: only if the study is small.
-    traces: whether to draw convergence.
-    manifest: manifest from which the scenario is read to draw positions; None: the copy in the study's folder.
-    plugins: plugin files that the scenario needs; those that the manifest names are not imported.
-    """
-
-    width: Literal["single", "double"] = "single"
-    metric: Wanted | None = None
-    title: bool = True
-    positions: bool | None = None
-    traces: bool = False
-    manifest: Path | None = None
-    plugins: tuple[Path, ...] = ()
+_SINGLE: dict[Kind, Callable[[Drawn, Drawing], Figure]] = {
+    "runtime": runtime_figure,
+    "distribution": distribution_figure,
+    "ert": ert_figure,
+    "ranks": ranks_figure,
+    "tradeoff": tradeoff_figure,
+    "attainment": attainment_figure,
+    "convergence": convergence_figure,
+}
 
 
 def figures(
@@ -67,8 +60,9 @@ def figures(
     how: how they are drawn; None: with the defaults.
     warn: function that receives a sentence about anything that the figures leave out.
 
-    Raises StoreError if there is no study, and NfbenchError if no run has an estimate yet, or if requested positions
-    or traces cannot be drawn.
+    Without ``only``, these are the figures that have something to show for this study, except for attainment and
+    convergence, which read all traces. Raises StoreError if there is no study, and NfbenchError if no run has an
+    estimate yet, or if a requested figure cannot be drawn.
     """
     seen: set[str] = set()
     for stem, figure in _figures(results, how or Drawing(), warn):
@@ -80,30 +74,54 @@ def figures(
 
 
 def _figures(results: Results, how: Drawing, warn: Callable[[str], object]) -> Iterator[tuple[str, Figure]]:
-    study = drawn(results, how.title)
+    study = drawn(results, how.title, how.methods)
     left = results.counts.get("open", 0)
     if left:
         done = len(study.runs)
         warn(f"the study is unfinished; the figures show {done} of {left + done} runs")
-    yield from error_figures(study, how.width, how.metric)
-    yield "runtime", runtime_figure(study, how.width, how.metric)
-    if how.traces:
-        convergence = convergence_figure(study, results, how.width)
-        if convergence is None:
-            raise NfbenchError(f"{results.folder}: convergence cannot be drawn: no run has a trace")
-        yield "convergence", convergence
-    if how.positions or (how.positions is None and few_enough(study)):
-        manifest = how.manifest or results.folder / "manifest.toml"
-        try:
-            placed = list(position_figures(study, results, how.width, manifest, how.plugins))
-        except NfbenchError as error:
-            if how.positions:
-                raise
-            warn(f"positions are not drawn: {error}")
-            return
-        if how.positions and not placed:
-            raise NfbenchError(f"{results.folder}: positions cannot be drawn: the scenario's instances have none")
-        yield from placed
+    for kind in _kinds(study, how):
+        if kind == "error":
+            yield from error_figures(study, how.width, how.metric)
+        elif kind == "positions":
+            yield from _positions(study, results, how, warn)
+        else:
+            try:
+                yield kind, _SINGLE[kind](study, how)
+            except NotDrawnError as reason:
+                if _requested(kind, how):
+                    raise NfbenchError(f"{results.folder}: {kind} cannot be drawn: {reason}") from reason
+
+
+def _requested(kind: Kind, how: Drawing) -> bool:
+    return kind in how.only or (kind == "convergence" and how.traces) or (kind == "positions" and bool(how.positions))
+
+
+def _kinds(study: Drawn, how: Drawing) -> list[Kind]:
+    """The kinds to draw, in order: the requested ones, or those that suit the study."""
+    suits = {
+        "tradeoff": spread_of_costs(study),
+        "attainment": False,
+        "convergence": False,
+        "positions": how.positions is None and few_enough(study),
+    }
+    return [kind for kind in KINDS if _requested(kind, how) or (not how.only and suits.get(kind, True))]
+
+
+def _positions(
+    study: Drawn, results: Results, how: Drawing, warn: Callable[[str], object]
+) -> Iterator[tuple[str, Figure]]:
+    """Yield the figures of positions; where they were not requested, only warn if they cannot be drawn."""
+    manifest, requested = how.manifest or results.folder / "manifest.toml", _requested("positions", how)
+    try:
+        placed = list(position_figures(study, results, how.width, manifest, how.plugins))
+    except NfbenchError as error:
+        if requested:
+            raise
+        warn(f"positions are not drawn: {error}")
+        return
+    if requested and not placed:
+        raise NfbenchError(f"{results.folder}: positions cannot be drawn: the scenario's instances have none")
+    yield from placed
 
 
 def write_figures(

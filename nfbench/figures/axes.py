@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import textwrap
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Literal, cast
 
 import numpy as np
@@ -18,7 +18,7 @@ from numpy import ndarray
 
 from .labels import Places, plain, text_of
 
-__all__ = ["error_axis", "legend_below", "new_figure", "swept_axis"]
+__all__ = ["error_axis", "legend_below", "new_figure", "panel_rows", "panels", "swept_axis"]
 
 _PER_INCH = {"x": 2.2, "y": 3.5}  # labels that fit in an inch
 _CHARACTER, _LINE, _GAP = 0.07, 0.12, 0.03  # width of a character, height and gap of labels [in]
@@ -38,13 +38,43 @@ def new_figure(width: float, height: float, title: str, compress: bool = False) 
     return figure
 
 
-def legend_below(figure: Figure, handles: Sequence[Artist], names: Sequence[str]) -> None:
-    """Add a legend below all panels, in as many columns as fit. The figure grows by the height of the legend."""
-    texts = list(map(plain, names))
+def panels(figure: Figure, count: int, width: str, **share: Any) -> tuple[list[Axes], list[Axes], list[Axes]]:
+    """Add this many panels, in rows of two, or of four in a wide figure.
+
+    Returns all panels, those at the left edge, and those with nothing below them.
+    """
+    columns = _columns(count, width)
+    rows = -(-count // columns)
+    grid = figure.subplots(rows, columns, squeeze=False, **share)
+    for ax in grid.flat[count:]:
+        ax.set_visible(False)
+    lowest = list(grid.flat[max(count - columns, 0) : count])
+    for ax in lowest:
+        ax.tick_params(labelbottom=True)
+    return list(grid.flat[:count]), list(grid[:, 0]), lowest
+
+
+def panel_rows(count: int, width: str) -> int:
+    """Number of rows of ``panels``."""
+    return -(-count // _columns(count, width))
+
+
+def _columns(count: int, width: str) -> int:
+    return min(count, 2 if width == "single" else 4)
+
+
+def legend_below(figure: Figure, entries: Mapping[str, Artist], note: str = "") -> None:
+    """Add a legend below all panels, in as many columns as fit, with a note above it. The figure grows by its height.
+
+    entries: drawn example of each text.
+    """
+    handles, texts = list(entries.values()), list(map(plain, entries))
+    note = plain("\n".join(textwrap.wrap(note, width=int(figure.get_figwidth() * 20))))
     for wanted in range(min(len(texts), 4), 0, -1):
         rows = math.ceil(len(texts) / wanted)
         columns = math.ceil(len(texts) / rows)
-        legend = figure.legend(handles, texts, loc="outside lower center", ncols=columns)
+        legend = figure.legend(handles, texts, loc="outside lower center", ncols=columns, title=note or None)
+        legend.get_title().set_multialignment("center")
         figure.draw_without_rendering()
         if columns == 1 or legend.get_window_extent().width <= figure.bbox.width:
             break

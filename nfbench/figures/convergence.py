@@ -1,78 +1,91 @@
-"""Best objective against evaluations, which shows what a larger or smaller budget would have given."""
+"""How the gap to the reference optimum falls, which shows what a larger or smaller budget would have given."""
 
 from __future__ import annotations
 
-import numpy as np
-from jaxtyping import Float
-from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-from numpy import ndarray
+from typing import Any
 
-from nfbench.core import Status, Trace
-from nfbench.results import Results
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from nfbench.analysis import fixed_budget_table
+from nfbench.results import find_progress
 
 from .axes import error_axis, legend_below, new_figure
-from .data import Drawn
-from .error import named
+from .data import Drawn, chosen
+from .drawing import Drawing, NotDrawnError
+from .error import heading, method_handles
 from .labels import plain
-from .runtime import chosen
 from .style import WIDTHS
 
 __all__ = ["convergence_figure"]
 
 POINTS = 60  # points of a curve
 MARKS = 10  # points between two markers of a curve; the markers of different methods are staggered
+BAND = 4  # with more methods in colour, only medians are drawn, because bands would hide each other
 
 
-def convergence_figure(study: Drawn, results: Results, width: str) -> Figure | None:
-    """Median and quartiles over runs of the best value of the first problem; None if no run has a trace.
+def convergence_figure(study: Drawn, how: Drawing) -> Figure:
+    """Median and quartiles over scenes of the gap of the first problem.
 
     There is one column of panels per formulation, because their objectives have no common scale, and one row for each
-    of up to four scenario points. With NEMO, the first problem is that of the first source; later problems depend on
-    what the solver found before.
+    of up to four swept points. With NEMO, the first problem is that of the first source; later problems depend on
+    what the solver found before. Raises NotDrawnError if no run has a trace.
     """
     parts = chosen(study.by(study.swept))
-    shown = {run_id for part in parts for run_id in part.runs.loc[part.runs["status"] == Status.OK, "run_id"]}
-    traces = {run_id: found[0] for run_id, found in results.run_traces() if run_id in shown and found and len(found[0])}
-    if not traces:
-        return None
-    runs = study.runs[study.runs["run_id"].isin(list(traces))]
-    formulations = list(dict.fromkeys(runs["formulation"]))
-    figure = new_figure(WIDTHS[width], 1.45 * len(parts) + 0.35, study.title)
-    grid = figure.subplots(len(parts), len(formulations), squeeze=False, sharex="col")
-    everything: dict[str, list[float]] = {name: [] for name in formulations}
-    for column, formulation in enumerate(formulations):
-        own_runs = runs[runs["formulation"] == formulation]
-        for part, ax in zip(parts, grid[:, column], strict=True):
-            ids, values = set(part.runs["run_id"]), list[float]()
-            for number, name in enumerate(study.methods):
-                own = [traces[run] for run in own_runs.loc[own_runs["method"] == name, "run_id"] if run in ids]
-                if not own:
-                    continue
-                evaluations, quartiles = _quartiles(own)
-                style = study.styles[name]
-                marks = (number * MARKS // max(len(study.methods), 1), MARKS)
-                ax.plot(evaluations, quartiles[1], **style.joined, markevery=marks, label=plain(name), zorder=3)
-                ax.fill_between(evaluations, quartiles[0], quartiles[2], color=style.colour, alpha=0.16, linewidth=0)
-                values += quartiles.ravel().tolist()
-                everything[formulation] += evaluations.tolist()
-            if min(values, default=1.0) >= 0:
-                error_axis([ax], "y", values)
-            heading = [plain(formulation), *([named(part)] if part.where else [])]
-            ax.set_title(", ".join(heading), loc="left")
-        error_axis(grid[:, column], "x", everything[formulation])
+    runs = pd.concat([part.runs for part in parts])
+    progress = find_progress(study.evidence.results, "gap", runs=study.runs).frame
+    progress = progress[progress["run_id"].isin(runs["run_id"])]
+    if not np.isfinite(progress["value"]).any():
+        raise NotDrawnError("no run has a trace")
+    last = float(progress["cap"].max())
+    budgets = np.unique(np.append(np.geomspace(1, max(last, 2), POINTS).round(), progress["cap"].unique()))
+    table = fixed_budget_table(progress, budgets.tolist())
+    formulation = dict(zip(study.runs["method"], study.runs["formulation"], strict=True))
+    table = table.assign(formulation=table["method"].map(formulation))
+    columns = list(dict.fromkeys(table["formulation"]))
+    most = int(WIDTHS[how.width] / len(columns) * 14)
+    extra = max(len(heading(part, most)) for part in parts) - 1 + (len(columns) > 1)
+    figure = new_figure(WIDTHS[how.width], (1.45 + 0.12 * max(extra, 0)) * len(parts) + 0.35, study.title)
+    grid = figure.subplots(len(parts), len(columns), squeeze=False, sharex="col")
+    for row, part in enumerate(parts):
+        for column, kind in enumerate(columns):
+            own = part.at(table[table["formulation"] == kind])
+            _draw(grid[row, column], part, own)
+            lines = [*([plain(kind)] if len(columns) > 1 else []), *heading(part, most)]
+            grid[row, column].set_title("\n".join(lines), loc="left")
+    for column, kind in enumerate(columns):
+        own = table[(table["formulation"] == kind) & np.isfinite(table["q25"])]
+        error_axis(grid[:, column], "x", own["evaluations"])
         grid[-1, column].set_xlabel("Evaluations")
     for ax in grid[:, 0]:
-        ax.set_ylabel("Best objective")
+        ax.set_ylabel("Gap")
     figure.align_ylabels()
-    legend_below(figure, [Line2D([], [], **style.joined) for style in study.styles.values()], list(study.styles))
+    in_colour = table[table["method"].isin(study.coloured)]
+    banded = in_colour.groupby("formulation")["method"].nunique().min() <= BAND
+    quartiles = " and quartiles" if banded else ""
+    note = f"Median{quartiles} over scenes of the gap to the best known value"
+    legend_below(figure, method_handles(study, joined=True, names=set(table["method"])), note)
     return figure
 
 
-def _quartiles(traces: list[Trace]) -> tuple[Float[ndarray, " p"], Float[ndarray, "3 p"]]:
-    """Evaluations, and quartiles over runs of the best value so far. A run keeps its last value to the end."""
-    first = max(int(trace.evaluations[0]) for trace in traces)
-    last = max(int(trace.evaluations[-1]) for trace in traces)
-    grid = np.unique(np.geomspace(first, last, POINTS).round())
-    values = [trace.values[np.searchsorted(trace.evaluations, grid, side="right") - 1] for trace in traces]
-    return grid, np.quantile(values, [0.25, 0.5, 0.75], axis=0)
+def _draw(ax: Axes, part: Drawn, table: pd.DataFrame) -> None:
+    """Draw the curves of one part; before the median run's first evaluation there is none."""
+    drawn: list[float] = []
+    bands = len(set(part.coloured) & set(table["method"])) <= BAND
+    for number, name in enumerate(part.methods):
+        own = table[(table["method"] == name) & np.isfinite(table["median"])]
+        if own.empty:
+            continue
+        style, x = part.styles[name], own["evaluations"].to_numpy(dtype=np.float64)
+        marks: dict[str, Any] = (
+            {} if style.pale else {"markevery": (number * MARKS // max(len(part.methods), 1), MARKS)}
+        )
+        ax.plot(x, own["median"], **style.joined, **marks, label=plain(name))
+        drawn += own["median"].tolist()
+        if not style.pale and bands:
+            high = np.where(np.isfinite(own["q75"]), own["q75"], 1e6 * own["median"])
+            ax.fill_between(x, own["q25"], high, color=style.colour, alpha=0.16, linewidth=0)
+            drawn += own["q25"].tolist()
+    error_axis([ax], "y", drawn)

@@ -1,26 +1,30 @@
-"""The data of figures: the study's summary, with intervals for all values that are drawn."""
+"""The data of figures: the study's summary, with the intervals of all values that have one."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Literal, TypeAlias, final
+from typing import Any, final
 
 import numpy as np
 import pandas as pd
+from jaxtyping import Float
+from numpy import ndarray
 
-from nfbench.analysis import default_groups, mean_interval, median_interval
+from nfbench.analysis import default_groups, quantile_interval, summarize, swept_columns
 from nfbench.core import NfbenchError, Status
-from nfbench.results import Results
+from nfbench.results import Evidence, Results
 
+from .drawing import Wanted
+from .highlights import highlighted
 from .labels import Places, places
 from .style import Style, styles
 
-__all__ = ["Drawn", "Metric", "Wanted", "drawn"]
+__all__ = ["Drawn", "Metric", "chosen", "drawn", "key_of", "median_over_scenes"]
 
-Wanted: TypeAlias = Literal["rmse", "median"]
+PANELS = 4
 
 
 @final
@@ -46,11 +50,12 @@ class Drawn:
     """The data of a study, or of a part of it, that figures show.
 
     runs: all finished runs.
-    table: the summary, with intervals of the median and of the mean run time.
+    table: the summary, with the median run time ``runtime_median_s`` of the runs that are ok, and its interval.
     error: name of the error measure.
     outlier_m: error beyond which a source counts as an outlier [m].
     title: title of the study; empty to show none.
     styles: style of each method.
+    evidence: hits and ranking of the study.
     where: the swept columns that are fixed in this part, as (column, value) pairs.
     """
 
@@ -60,17 +65,34 @@ class Drawn:
     outlier_m: float
     title: str
     styles: dict[str, Style]
+    evidence: Evidence
     where: tuple[tuple[str, Any], ...] = ()
 
     @cached_property
     def swept(self) -> list[str]:
         """The swept columns that are not fixed."""
         fixed = [column for column, _ in self.where]
-        return [column for column in default_groups(self.runs)[:-3] if column not in fixed]
+        return [column for column in swept_columns(self.runs) if column not in fixed]
 
     @property
     def methods(self) -> list[str]:
         return list(self.styles)
+
+    @property
+    def coloured(self) -> list[str]:
+        """The methods in colour."""
+        return [name for name, style in self.styles.items() if not style.pale]
+
+    @property
+    def others(self) -> list[str]:
+        """The methods in grey."""
+        return [name for name, style in self.styles.items() if style.pale]
+
+    def at(self, frame: pd.DataFrame) -> pd.DataFrame:
+        """The rows of another table of the study that belong to this part."""
+        for column, value in self.where:
+            frame = frame[frame[column] == value]
+        return frame
 
     @cached_property
     def along(self) -> tuple[str, Places | None] | None:
@@ -86,28 +108,23 @@ class Drawn:
         return [self._at(tuple(zip(columns, setting, strict=True))) for setting in settings]
 
     def _at(self, where: tuple[tuple[str, Any], ...]) -> Drawn:
-        def select(frame: pd.DataFrame) -> pd.DataFrame:
-            return frame[np.logical_and.reduce([frame[column] == value for column, value in where])]
-
-        return Drawn(
-            select(self.runs),
-            select(self.table),
-            self.error,
-            self.outlier_m,
-            self.title,
-            self.styles,
-            self.where + where,
-        )
+        part = replace(self, where=where)
+        return replace(self, runs=part.at(self.runs), table=part.at(self.table), where=self.where + where)
 
     def metrics(self, wanted: Wanted | None) -> list[Metric]:
         """RMSE, median, and the outlier rate if there are outliers; or only the wanted measure."""
         metres = self.error == "rmse_m"
         rmse = Metric(self.error, "RMSE [m]" if metres else f"RMS {self.error}", bounded=metres)
-        median = Metric(_median(self.error), "Median [m]" if metres else f"Median {self.error}")
+        median = Metric("median_m" if metres else f"{self.error}_median", self.median_label)
         if wanted:
             return [rmse if wanted == "rmse" else median]
         far = Metric("outlier_rate", f"Off by\n> {self.outlier_m:g} m [%]", share=True)
         return [rmse, median, *([far] if (self.table["outlier_rate"] > 0).any() else [])]
+
+    @property
+    def median_label(self) -> str:
+        """The axis label of the median error."""
+        return "Median [m]" if self.error == "rmse_m" else f"Median {self.error}"
 
     def bound(self, column: str) -> pd.DataFrame:
         """A bound at each scenario point, as the median over methods; points where it is unknown are left out."""
@@ -126,28 +143,42 @@ def key_of(column: str) -> str:
     return column.removeprefix("scenario.")
 
 
-def drawn(results: Results, title: bool = True) -> Drawn:
-    """The data to draw. Raises StoreError if there is no study, NfbenchError if no run has an estimate yet."""
+def drawn(results: Results, title: bool = True, methods: Sequence[str] = ()) -> Drawn:
+    """The data to draw, with these methods in colour in addition to the best ones.
+
+    Raises StoreError if there is no study, NfbenchError if no run has an estimate yet or a method is unknown.
+    """
     runs, meta = results.runs, results.meta
     ok = runs[runs["status"] == Status.OK]
     if ok.empty:
         reason = "no run has finished yet" if runs.empty else "no run ended with an estimate"
         raise NfbenchError(f"{results.folder}: nothing to draw: {reason}")
-    error, by = meta["error"], default_groups(runs)
+    error, outlier_m, by = meta["error"], float(meta["outlier_m"]), default_groups(runs)
     if error not in ok.columns:
         raise NfbenchError(f"{results.folder}: nothing to draw: no run has the study's error measure {error!r:.80}")
-    table = results.summary()
+    with np.errstate(all="ignore"):  # scores may be infinite
+        table = summarize(runs, error=error, outlier_m=outlier_m)
     groups: dict[Any, pd.DataFrame] = dict(list(ok.groupby(by, sort=False)))
     keys = [tuple(row) for row in table[by].itertuples(index=False)]
-    for values, column, interval in (
-        (error, _median(error), median_interval),
-        ("runtime_s", "runtime_s", mean_interval),
-    ):
-        pairs = [interval(groups[key][values].to_numpy()) if key in groups else (math.nan, math.nan) for key in keys]
-        table[f"{column}_low"], table[f"{column}_high"] = zip(*pairs, strict=True)
-    methods = list(dict.fromkeys(runs["method"]))
-    return Drawn(runs, table, error, float(meta["outlier_m"]), meta["title"] if title else "", styles(methods))
+    times = [median_over_scenes(groups[key], "runtime_s") if key in groups else (math.nan,) * 3 for key in keys]
+    ends = [f"runtime_median_s{end}" for end in ("", "_low", "_high")]
+    table[ends] = np.array(times).reshape(-1, 3)
+    evidence, labels = results.evidence(runs), list(dict.fromkeys(runs["method"]))
+    shown = styles(labels, highlighted(labels, methods, evidence))
+    return Drawn(runs, table, error, outlier_m, meta["title"] if title else "", shown, evidence)
 
 
-def _median(error: str) -> str:
-    return "median_m" if error == "rmse_m" else f"{error}_median"
+def median_over_scenes(runs: pd.DataFrame, column: str) -> tuple[float, float, float]:
+    """The median over scenes of the median over the runs of a scene, and the ends of its 95 % interval.
+
+    Runs without a value count as infinite. An end is NaN if there are too few scenes to bound it.
+    """
+    values = runs[column].astype(float).fillna(math.inf)
+    each: Float[ndarray, " n"] = values.groupby(runs["scene"]).median().to_numpy(dtype=np.float64)
+    return (float(np.median(each)), *quantile_interval(each))
+
+
+def chosen(parts: Sequence[Drawn]) -> list[Drawn]:
+    """All parts, or four of them: the first, the last and two evenly spaced between."""
+    picks = np.unique(np.linspace(0, len(parts) - 1, PANELS).round().astype(int))
+    return [parts[i] for i in picks] if len(parts) > PANELS else list(parts)

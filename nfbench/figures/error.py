@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 import re
 import textwrap
-from collections.abc import Iterator, Sequence
-from typing import Any, Literal
+from collections.abc import Collection, Iterator, Sequence
+from typing import Any, Literal, cast
 
 import numpy as np
 import pandas as pd
@@ -17,15 +17,19 @@ from matplotlib.lines import Line2D
 from numpy import ndarray
 
 from .axes import error_axis, legend_below, new_figure, swept_axis
-from .data import Drawn, Metric, Wanted, key_of
-from .labels import Places, name_of, plain, setting, text_of
+from .data import Drawn, Metric, key_of
+from .drawing import Wanted
+from .labels import Places, name_of, plain, setting, short, text_of
 from .style import WIDTHS
 
-__all__ = ["BOUNDS", "error_figures", "headed", "method_handles", "named", "slug"]
+__all__ = ["BOUNDS", "error_figures", "headed", "heading", "method_handles", "named", "slug"]
 
 PANELS = {"single": 3, "double": 4}  # values of a second key in one figure; if there are more, each has its own figure
 NAME = {"single": 26, "double": 50}  # characters per line of a method's name
+CHARACTER, LINE = 0.062, 0.125  # width of a character and height of a line of a heading [in]
+LONG = 15  # rows; with more, names are cut to one line
 STEM = 120  # characters of a file name
+BEYOND = 1e6  # times the lower end: where an interval ends that reaches infinity
 BANDS = 5  # with more methods, intervals are bars, because bands would hide each other
 BOUNDS: dict[str, tuple[str, dict[str, Any]]] = {  # columns of the summary that are drawn in addition to the methods
     "crb_m": ("Cramér–Rao bound", {"color": "black", "linestyle": "--", "linewidth": 1.0}),
@@ -48,9 +52,26 @@ def error_figures(study: Drawn, width: str, wanted: Wanted | None) -> Iterator[t
 
 
 def headed(ax: Axes, part: Drawn) -> None:
-    """Write above a panel which values are fixed in it."""
-    if part.where:
-        ax.set_title(named(part), loc="left")
+    """Write above a panel which values are fixed in it, in as many lines as needed; the figure grows by their height.
+
+    Call it while the panels have the size that they will have.
+    """
+    if not part.where:
+        return
+    figure, place = cast(Figure, ax.get_figure()), ax.get_subplotspec()
+    columns = place.get_gridspec().ncols if place else 1
+    lines = heading(part, int((figure.get_figwidth() - 0.35) / columns / CHARACTER))
+    ax.set_title("\n".join(lines), loc="left")
+    if place and place.colspan.start == 0:
+        figure.set_figheight(figure.get_figheight() + LINE * (len(lines) - 1))
+
+
+def heading(part: Drawn, most: int) -> list[str]:
+    """The fixed values of a part, in lines of about this many characters that break between values where possible."""
+    settings = [setting(key_of(column), value) for column, value in part.where]
+    kept = [text.replace(" ", "\N{NO-BREAK SPACE}") if len(text) < most else text for text in settings]
+    lines = textwrap.wrap(", ".join(kept), max(most, 8), break_on_hyphens=False)
+    return [line.replace("\N{NO-BREAK SPACE}", " ") for line in lines]
 
 
 def named(part: Drawn) -> str:
@@ -64,15 +85,18 @@ def slug(part: Drawn) -> str:
     return re.sub(r"[^A-Za-z0-9_.-]+", "-", "-".join(texts)).strip("-.")[:STEM]
 
 
-def method_handles(study: Drawn, joined: bool) -> dict[str, Artist]:
-    """The legend entry of each method."""
+def method_handles(study: Drawn, joined: bool, names: Collection[str] | None = None) -> dict[str, Artist]:
+    """The legend entries: one for each method in colour, and one for all others. names: methods drawn; None for all."""
     done = set(study.table.loc[study.table[study.error].notna(), "method"])
-    return {
-        name if name in done else f"{name} (no successful run)": Line2D(
-            [], [], **(style.joined if joined else style.points)
-        )
-        for name, style in study.styles.items()
-    }
+    shown = [name for name in study.methods if names is None or name in names]
+    found: dict[str, Artist] = {}
+    for name in [*(n for n in shown if n in study.coloured), *[n for n in shown if n in study.others][:1]]:
+        style = study.styles[name]
+        others = sum(other in study.others for other in shown)
+        text = f"{others} other method{'s' * (others > 1)}" if style.pale else name
+        text += "" if style.pale or name in done else " (no successful run)"
+        found[text] = Line2D([], [], **(style.joined if joined else style.points))
+    return found
 
 
 # --- a numeric key: lines ------------------------------------------------------------------------------------------
@@ -109,11 +133,11 @@ def _draw_lines(ax: Axes, part: Drawn, metric: Metric, column: str, at: Places) 
     for name, style in part.styles.items():
         rows = part.of(name).sort_values(column)
         x = rows[column].map(at.of).to_numpy(dtype=np.float64)
-        ax.plot(*_apart(x, _numbers(rows, metric, metric.column), at), **style.joined, label=plain(name), zorder=3)
-        if metric.share:
+        ax.plot(*_apart(x, _numbers(rows, metric, metric.column), at), **style.joined, label=plain(name))
+        low, high = _ends(rows, metric)
+        if metric.share or style.pale or np.isnan(low).all():
             continue
-        low, high = _numbers(rows, metric, f"{metric.column}_low"), _numbers(rows, metric, f"{metric.column}_high")
-        bars = np.full(len(x), len(part.styles) > BANDS) | (x == at.beyond)
+        bars = np.full(len(x), len(part.coloured) > BANDS) | (x == at.beyond)
         if not bars.all():
             ax.fill_between(x[~bars], low[~bars], high[~bars], color=style.colour, alpha=0.16, linewidth=0, zorder=1)
         ax.vlines(x[bars], low[bars], high[bars], color=style.colour, linewidth=0.7, alpha=0.6, zorder=2)
@@ -137,9 +161,9 @@ def _apart(x: ndarray, y: ndarray, at: Places) -> tuple[ndarray, ndarray]:
 def _dots(parts: list[Drawn], metrics: list[Metric], width: str, column: str | None = None) -> Figure:
     """One row of panels per part, one column per metric, and in each category the methods below each other."""
     groups = [part.by([column] if column else []) for part in parts]
-    rows = [_with_failures(row, width) for row in parts[0].table.to_dict("records")]
-    step = 0.11 if column else 0.17 if not any("\n" in row for row in rows) else 0.24
-    heights = [sum(step * len(group.table) + (0.12 if column else 0.0) for group in row) + 0.2 for row in groups]
+    rows = [] if column else _names(parts[0].table, width)
+    step = 0.11 if column else 0.15 if len(rows) > LONG else 0.17 if not any("\n" in row for row in rows) else 0.24
+    heights = [sum(step * _rows_of(group, column) + (0.12 if column else 0.0) for group in row) + 0.2 for row in groups]
     figure = new_figure(WIDTHS[width], sum(heights) + 0.45, parts[0].title)
     ratios = [0.55 if metric.share else 1.0 for metric in metrics]
     grid = figure.subplots(
@@ -165,19 +189,19 @@ def _draw_rows(
     top, ticks, names = 0.0, [], []
     for number, group in enumerate(groups):
         table = group.table if column else group.table.sort_values(group.error, na_position="last")
-        places = dict(zip(table["method"], -top - np.arange(len(table)), strict=True))
-        span = (-top - len(table) + 0.3, -top + 0.7) if column is None else (-top - len(table) + 0.1, -top + 0.9)
+        count = _rows_of(group, column)
+        alone = [name for name in table["method"] if column is None or not group.styles[name].pale]
+        places = dict.fromkeys(table["method"], -top - count + 1) | dict(
+            zip(alone, -top - np.arange(count), strict=False)
+        )
+        span = (-top - count + 0.3, -top + 0.7) if column is None else (-top - count + 0.1, -top + 0.9)
         for metric, ax in zip(metrics, axes, strict=True):
             if number % 2:
                 ax.axhspan(*span, color="0.95", linewidth=0, zorder=0)
             _draw_dots(ax, group, metric, places, span)
-        ticks += [sum(places.values()) / len(places)] if column else list(places.values())
-        names += (
-            [text_of(group.where[-1][1])]
-            if column
-            else [_with_failures(row, width) for row in table.to_dict("records")]
-        )
-        top += len(table) + 0.8
+        ticks += [-top - (count - 1) / 2] if column else list(places.values())
+        names += [text_of(group.where[-1][1])] if column else _names(table, width)
+        top += count + 0.8
     for ax in axes:
         ax.set_ylim(span[0], 0.9 if column else 0.7)
         ax.grid(visible=column is None, axis="y")
@@ -186,22 +210,34 @@ def _draw_rows(
         ax.tick_params(axis="y", length=0)
 
 
+def _rows_of(group: Drawn, column: str | None) -> int:
+    """Number of rows of a category: one for each method in colour, and one for all others. Without a sweep, all."""
+    pale = [name for name in group.table["method"] if group.styles[name].pale] if column else []
+    return len(group.table) - len(pale) + bool(pale)
+
+
 def _draw_dots(ax: Axes, group: Drawn, metric: Metric, places: dict[str, float], span: tuple[float, float]) -> None:
     for name, y in places.items():
         style, rows = group.styles[name], group.of(name)
-        ax.plot(_numbers(rows, metric, metric.column), [y], **style.points, label=plain(name), zorder=3)
-        if not metric.share:
-            low, high = _numbers(rows, metric, f"{metric.column}_low"), _numbers(rows, metric, f"{metric.column}_high")
+        ax.plot(_numbers(rows, metric, metric.column), [y], **style.points, label=plain(name))
+        low, high = _ends(rows, metric)
+        if not metric.share and not np.isnan(low).all():
             ax.hlines([y], low, high, color=style.colour, linewidth=1.0, zorder=2)
     for name, (_, look) in BOUNDS.items():
         for value in group.bound(name)[name] if metric.bounded and name in group.table else ():
             ax.plot([value, value], span, **look, label=name, zorder=1)
 
 
-def _with_failures(row: dict[Any, Any], width: str) -> str:
-    """A method's name, wrapped, with its number of failed runs."""
-    failed = f" ({row['failed']} of {row['runs']} failed)" if row["failed"] else ""
-    return plain("\n".join(textwrap.wrap(f"{row['method']}{failed}", NAME[width])))
+def _names(table: pd.DataFrame, width: str) -> list[str]:
+    """The methods' names with their numbers of failed runs: wrapped, or cut if there are many."""
+    names = []
+    for row in table.to_dict("records"):
+        failed = f" ({row['failed']} of {row['runs']} failed)" if row["failed"] else ""
+        if len(table) > LONG:
+            names.append(short(row["method"], NAME[width] + 2 - len(failed) // 2) + failed)
+        else:
+            names.append(plain("\n".join(textwrap.wrap(f"{row['method']}{failed}", NAME[width]))))
+    return names
 
 
 # --- both ----------------------------------------------------------------------------------------------------------
@@ -209,6 +245,14 @@ def _with_failures(row: dict[Any, Any], width: str) -> str:
 
 def _numbers(rows: pd.DataFrame, metric: Metric, column: str) -> ndarray:
     return (100.0 if metric.share else 1.0) * rows[column].to_numpy(dtype=np.float64)
+
+
+def _ends(rows: pd.DataFrame, metric: Metric) -> tuple[ndarray, ndarray]:
+    """The ends of the intervals; an infinite end is placed beyond the axis."""
+    if f"{metric.column}_low" not in rows:
+        return np.full(len(rows), math.nan), np.full(len(rows), math.nan)
+    low, high = (_numbers(rows, metric, f"{metric.column}_{end}") for end in ("low", "high"))
+    return low, np.where(np.isposinf(high), BEYOND * np.where(low > 0, low, 1.0), high)
 
 
 def _scale(axes: Sequence[Axes], which: Literal["x", "y"], metric: Metric, parts: list[Drawn]) -> None:
@@ -230,4 +274,4 @@ def _legend(figure: Figure, parts: list[Drawn], metrics: list[Metric], *, joined
         if any(metric.bounded for metric in metrics) and any(len(part.bound(name)) for part in parts):
             handles[text] = Line2D([], [], **look)
     if handles:
-        legend_below(figure, list(handles.values()), list(handles))
+        legend_below(figure, handles)

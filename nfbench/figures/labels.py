@@ -12,7 +12,7 @@ import numpy as np
 from nfbench.core import printable
 from nfbench.results import from_cell
 
-__all__ = ["Places", "name_of", "places", "plain", "setting", "text_of"]
+__all__ = ["Places", "name_of", "places", "plain", "setting", "short", "text_of"]
 
 LONGEST = 400  # bytes of a line; longer ones end in an ellipsis
 _NAMES = {  # swept keys whose label needs more than the name, such as a symbol
@@ -25,6 +25,9 @@ _NAMES = {  # swept keys whose label needs more than the name, such as a symbol
     "nlos": "Scattering",
     "nlos.kind": "Scattering",
     "dimension": "Dimension n",
+    "budget.evaluations": "Budget [evaluations]",
+    "budget.seconds": "Budget [s]",
+    "budget.target": "Target objective",
 }
 _UNITS = {"db": "dB", "m": "m", "deg": "°", "rad": "rad", "s": "s", "hz": "Hz", "wavelengths": "λ"}
 _LINEAR_UNITS = ("[dB]", "[°]", "[rad]")
@@ -37,6 +40,11 @@ def plain(text: str) -> str:
     """
     text = "\n".join(printable(line, LONGEST) for line in text.split("\n")).replace("$", r"\$")
     return f"\N{THIN SPACE}{text}" if text.startswith("_") else text
+
+
+def short(name: str, most: int) -> str:
+    """A method's name that is cut to this many characters."""
+    return plain(name if len(name) <= most else name[: most - 1] + "…")
 
 
 def name_of(key: str) -> str:

@@ -151,10 +151,10 @@ def _figure(part: Drawn, places: _Places, width: str) -> Figure:
                 ax.set_title(f"Source {k + 1}", loc="left")
     figure.align_ylabels()
     truth = {"True position": Line2D([], [], **TRUTH), "Array origin": Line2D([], [], **ORIGIN)}
-    handles = {**truth, **{name: Line2D([], [], **_hollow(style)) for name, style in part.styles.items()}}
+    handles = {**truth, **{name: Line2D([], [], **_hollow(part.styles[name])) for name in part.coloured}}
     if part.where:
         figure.suptitle("\n".join(filter(None, [figure.get_suptitle(), named(part)])))
-    legend_below(figure, list(handles.values()), list(handles))
+    legend_below(figure, handles)
     return figure
 
 
@@ -163,10 +163,11 @@ def _draw(ax: Axes, part: Drawn, places: _Places, k: int, view: tuple[int, int])
     i, j = view
     ax.plot([0.0], [0.0], **ORIGIN, zorder=1)
     truth = places.truth[:, k]
-    for name, style in part.styles.items():
+    for name in part.coloured:
+        style = part.styles[name]
         found = places.found[name][:, k]
         ax.plot([truth[:, i], found[:, i]], [truth[:, j], found[:, j]], color=style.colour, linewidth=0.6, zorder=2)
-        ax.plot(found[:, i], found[:, j], **_hollow(style), label=plain(name), zorder=3)
+        ax.plot(found[:, i], found[:, j], **_hollow(style), label=plain(name))
     ax.plot(truth[:, i], truth[:, j], **TRUTH, label="truth", zorder=2.5)
 
 

@@ -2,63 +2,55 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
-import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from .axes import error_axis, legend_below, new_figure
-from .data import Drawn, Wanted
+from .axes import error_axis, legend_below, new_figure, panel_rows, panels
+from .data import Drawn, chosen
+from .drawing import Drawing
 from .error import BOUNDS, headed, method_handles
 from .labels import plain
 from .style import WIDTHS
 
-__all__ = ["chosen", "runtime_figure"]
+__all__ = ["runtime_figure"]
 
-PANELS = 4
+TIME = "runtime_median_s"
 
 
-def runtime_figure(study: Drawn, width: str, wanted: Wanted | None) -> Figure:
+def runtime_figure(study: Drawn, how: Drawing) -> Figure:
     """One point per method, in one panel or in one for each of up to four scenario points."""
-    (metric, *_) = study.metrics(wanted or "rmse")
+    (metric, *_) = study.metrics(how.metric or "rmse")
     parts = chosen(study.by(study.swept))
-    columns = min(len(parts), 2 if width == "single" else PANELS)
-    rows = -(-len(parts) // columns)
-    figure = new_figure(WIDTHS[width], (1.75 if columns == 1 or width == "double" else 1.35) * rows + 0.35, study.title)
-    grid = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
-    for ax, part in zip(grid.flat, parts, strict=False):
+    rows = panel_rows(len(parts), how.width)
+    height = 1.75 if len(parts) == 1 or how.width == "double" else 1.35
+    figure = new_figure(WIDTHS[how.width], height * rows + 0.35, study.title)
+    axes, left, lowest = panels(figure, len(parts), how.width, sharex=True, sharey=True)
+    for ax, part in zip(axes, parts, strict=True):
         headed(ax, part)
         for name, style in part.styles.items():
             point = part.of(name)
-            x, x_low, x_high = (point[f"runtime_s{end}"] for end in ("", "_low", "_high"))
-            y, y_low, y_high = (point[f"{metric.column}{end}"] for end in ("", "_low", "_high"))
-            ax.hlines(y, x_low, x_high, color=style.colour, linewidth=0.8, zorder=2)
-            ax.vlines(x, y_low, y_high, color=style.colour, linewidth=0.8, zorder=2)
-            ax.plot(x, y, **style.points, label=plain(name), zorder=3)
+            x, x_low, x_high = (point[f"{TIME}{end}"] for end in ("", "_low", "_high"))
+            ax.plot(x, point[metric.column], **style.points, label=plain(name))
+            if style.pale:
+                continue
+            ax.hlines(point[metric.column], x_low, x_high, color=style.colour, linewidth=0.8, zorder=2)
+            if f"{metric.column}_low" in point and point[f"{metric.column}_low"].notna().all():
+                y_low, y_high = (point[f"{metric.column}_{end}"] for end in ("low", "high"))
+                ax.vlines(x, y_low, y_high.clip(upper=1e6 * y_low), color=style.colour, linewidth=0.8, zorder=2)
         for name, (_, look) in BOUNDS.items():
             for value in part.bound(name)[name] if metric.bounded and name in part.table else ():
                 ax.axhline(value, **look, label=name, zorder=1)
-    for ax in grid.flat[len(parts) :]:
-        ax.set_visible(False)
     shown = [f"{metric.column}{end}" for end in ("", "_low", "_high")] + [name for name in BOUNDS if metric.bounded]
-    error_axis(grid.flat, "y", [v for part in parts for name in shown if name in part.table for v in part.table[name]])
-    times = ["runtime_s", "runtime_s_low", "runtime_s_high"]
-    error_axis(grid.flat, "x", [v for part in parts for name in times for v in part.table[name]])
-    for ax in grid[:, 0]:
+    error_axis(axes, "y", [v for part in parts for name in shown if name in part.table for v in part.table[name]])
+    times = [f"{TIME}{end}" for end in ("", "_low", "_high")]
+    error_axis(axes, "x", [v for part in parts for name in times for v in part.table[name]])
+    for ax in left:
         ax.set_ylabel(metric.label)
-    for ax in grid.flat[max(len(parts) - columns, 0) : len(parts)]:
+    for ax in lowest:
         ax.set_xlabel("Run time [s]")
-        ax.tick_params(labelbottom=True)
     handles = method_handles(study, joined=False)
     for name, (text, look) in BOUNDS.items():
         if metric.bounded and any(len(part.bound(name)) for part in parts):
             handles[text] = Line2D([], [], **look)
-    legend_below(figure, list(handles.values()), list(handles))
+    legend_below(figure, handles)
     return figure
-
-
-def chosen(parts: Sequence[Drawn]) -> list[Drawn]:
-    """All parts, or four of them: the first, the last and two evenly spaced between."""
-    picks = np.unique(np.linspace(0, len(parts) - 1, PANELS).round().astype(int))
-    return [parts[i] for i in picks] if len(parts) > PANELS else list(parts)

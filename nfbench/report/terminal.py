@@ -6,26 +6,30 @@ import math
 from collections.abc import Callable, Iterator
 from typing import Any
 
-import numpy as np
 import pandas as pd
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from nfbench.analysis import MIN_RUNS, default_groups, verdict
+from nfbench.analysis import Block, Outcomes, Ranking, default_groups, sentences
 from nfbench.core import Status, printable
 from nfbench.results import Comparison, Results
 
 __all__ = ["number_text", "print_comparison", "print_report", "shown", "summary_table"]
 
 SHOWN = 20  # maximum number of differing runs that are printed
-DISPENSABLE = ("90 %", "runs", "off by", "95 % interval", "evals")  # dropped first, in this order, on a narrow terminal
+AT_END = "so the error is known at the end of a run only"
+FEWEST = 6  # scenes with which a difference between two methods can be significant
+DISPENSABLE = (  # columns that are dropped first, in this order, on a narrow terminal
+    *("90 %", "runs", "off by", "95 % interval", "of scenes, 95 %", "ratio, 95 %", "evals", "failed"),
+)
 
 
 def print_report(results: Results, console: Console) -> None:
-    """Print the summary and verdict of each scenario point, and every kind of failure with an example."""
-    meta, runs, summary = results.meta, results.runs, results.summary()
+    """Print the table and the verdict of each swept point and of all of them, the claims, and every kind of failure."""
+    meta, evidence = results.meta, results.evidence()
+    runs, summary = evidence.runs, results.summary()
     if runs.empty:
         console.print("No run has finished yet.")
         return
@@ -37,11 +41,65 @@ def print_report(results: Results, console: Console) -> None:
     left = results.counts.get("open", 0)
     if left:
         console.print(f"[yellow]Unfinished study: {len(runs)} of {left + len(runs)} runs are done.[/yellow]")
-    for title, rows, point_runs in _by_point(summary, runs):
+    for note in evidence.hits.notes:
+        if not note.endswith(AT_END):  # this only makes costs of hits larger
+            console.print(shown(note, "dim"))
+    ranking = evidence.ranking
+    tables = list(_by_point(summary))
+    for block, ranks, verdict in zip(ranking.blocks, _by_block(ranking), sentences(ranking), strict=True):
         console.print()
-        console.print(summary_table(title, rows, meta["error"], float(meta["outlier_m"]), console))
-        console.print(shown(verdict(point_runs, meta["error"])))
+        if len(block.points) == 1:
+            title, rows = tables.pop(0)
+            table = summary_table(title, rows, meta["error"], float(meta["outlier_m"]), console, ranks, block)
+        else:
+            table = _overall_table(ranks, block)
+        console.print(table)
+        console.print(shown(verdict))
+    _print_claims(evidence.claims(), console)
     _print_failures(runs, console)
+
+
+def _by_block(ranking: Ranking) -> Iterator[pd.DataFrame]:
+    """Yield the rows of the ranking of each block."""
+    first = 0
+    for block in ranking.blocks:
+        yield ranking.frame.iloc[first : first + len(block.methods)]
+        first += len(block.methods)
+
+
+def _overall_table(ranks: pd.DataFrame, block: Block) -> Table:
+    table = _plain_table("All swept points together")
+    heads = (("solved\n" + _target(block), "95 % interval\n"), ("error\n× first", "95 % interval\n"), ("mean\nrank",))
+    for head in (head for group in heads for head in group):
+        table.add_column(Text(head), justify="right", no_wrap=True)
+    for row in _ordered(ranks, block).to_dict("records"):
+        table.add_row(
+            _marked(row),
+            _percent(row["solved_share"]),
+            _share_interval(row),
+            number_text(row["error_ratio"]),
+            _interval(row["ratio_low"], row["ratio_high"]),
+            number_text(row["mean_rank"]),
+        )
+    return table
+
+
+def _print_claims(claims: pd.DataFrame, console: Console) -> None:
+    """Print each claim with its verdict and estimate."""
+    if claims.empty:
+        return
+    console.print()
+    table = Table(box=SIMPLE_HEAD, pad_edge=False, title="Claims", title_justify="left", title_style="bold")
+    for head in ("claim", "verdict"):
+        table.add_column(head, overflow="fold")
+    for head in ("estimate", "95 % interval", "p"):
+        table.add_column(head, justify="right", no_wrap=True)
+    styles = {"confirmed": "green", "contradicted": "red"}
+    for row in claims.to_dict("records"):
+        verdict = str(row["verdict"])
+        numbers = number_text(row["estimate"]), _interval(row["low"], row["high"]), number_text(_p_value(row))
+        table.add_row(shown(row["text"]), shown(verdict, styles.get(verdict, "")), *numbers)
+    console.print(table)
 
 
 def print_comparison(found: Comparison, console: Console) -> None:
@@ -64,17 +122,19 @@ def print_comparison(found: Comparison, console: Console) -> None:
 def _conclusion(found: Comparison) -> str:
     """Whether the difference matters, as far as the intervals tell."""
     if found.matters:
-        return "The difference matters: runs are missing, a status changed, or an error left its 95\u00a0% interval."
+        return "The difference matters: runs are missing, a status changed, or a method's error changed significantly."
     if found.undecided and not len(found.rows):
         return "No run is in both folders, so nothing can be judged."
     if found.undecided:
         methods = ", ".join(dict.fromkeys(found.methods.loc[found.methods["unknown"], "method"].map(str)))
         return (
-            f"Whether the difference matters cannot be judged: there is no 95\u00a0% interval, which needs at least "
-            f"{MIN_RUNS} successful runs, for {methods}."
+            f"Whether the difference matters cannot be judged: at least {FEWEST} scenes are needed, and there are "
+            f"fewer for {methods}."
         )
+    if len(found.rows) and (found.methods["ratio"] == 1).all():
+        return "The difference does not matter: no method's error has changed."
     if len(found.rows):
-        return "The difference does not matter: every error stays within its 95\u00a0% interval."
+        return "No difference in a method's error is significant."
     return "The folders agree."
 
 
@@ -100,28 +160,44 @@ def _before_after(row: dict[Any, Any], name: str) -> str:
     return " → ".join(dict.fromkeys(texts))
 
 
-def _by_point(summary: pd.DataFrame, runs: pd.DataFrame) -> Iterator[tuple[str, pd.DataFrame, pd.DataFrame]]:
-    """Yield (title, rows of the summary, runs) for each scenario point."""
-    swept = default_groups(runs)[:-3]
+def _p_value(row: dict[Any, Any]) -> float:
+    """The p-value of the verdict: of the claim, or of its opposite if that is what the data show."""
+    return float(row["p_against_holm"] if row["verdict"] == "contradicted" else row["p_holm"])
+
+
+def _by_point(summary: pd.DataFrame) -> Iterator[tuple[str, pd.DataFrame]]:
+    """Yield (title, rows of the summary) for each swept point."""
+    swept = default_groups(summary)[:-3]
     if not swept:
-        yield "", summary, runs
+        yield "", summary
         return
-    for key, rows in summary.groupby(swept, sort=False):
-        mask = np.logical_and.reduce([runs[name] == value for name, value in zip(swept, key, strict=True)])
-        title = ", ".join(f"{name.removeprefix('scenario.')} = {value}" for name, value in zip(swept, key, strict=True))
-        yield title, rows, runs[mask]
+    for key, rows in summary.groupby(swept, sort=False, dropna=False):
+        parts = (f"{name.removeprefix('scenario.')} = {value}" for name, value in zip(swept, key, strict=True))
+        yield ", ".join(parts), rows
 
 
-def summary_table(where: str, rows: pd.DataFrame, error: str, outlier_m: float, console: Console) -> Table:
-    """The table of one scenario point, best method first, with as many columns as fit the console."""
+def summary_table(
+    where: str,
+    rows: pd.DataFrame,
+    error: str,
+    outlier_m: float,
+    console: Console,
+    ranks: pd.DataFrame | None = None,
+    block: Block | None = None,
+) -> Table:
+    """The table of one swept point, with as many columns as fit the console.
+
+    ranks, block: the ranking of the same methods, whose best set comes first and is marked. Without it the rows are in
+    the order of their root mean square error.
+    """
     metres = error == "rmse_m"
     name, unit = ("RMSE", "m") if metres else (f"RMS {error}", "")
     median, q90 = ("median_m", "q90_m") if metres else (f"{error}_median", f"{error}_q90")
     columns: dict[str, tuple[str, Callable[[Any], str | Text]]] = {  # heading: (unit, cell of a row)
-        name: (unit, lambda row: number_text(row[error])),
-        "95 % interval": (unit, lambda row: _interval(row[f"{error}_low"], row[f"{error}_high"])),
         "median": (unit, lambda row: number_text(row[median])),
+        "95 % interval": (unit, lambda row: _interval(row[f"{median}_low"], row[f"{median}_high"])),
         "90 %": (unit, lambda row: number_text(row[q90])),
+        name: (unit, lambda row: number_text(row[error])),
         "off by": (f"> {outlier_m:g} m", lambda row: _percent(row["outlier_rate"])),
         "evals": ("", lambda row: _count(row["evaluations"])),
         "time": ("s", lambda row: number_text(row["runtime_s"])),
@@ -130,8 +206,20 @@ def summary_table(where: str, rows: pd.DataFrame, error: str, outlier_m: float, 
     }
     if not metres:
         del columns["off by"]
+    if ranks is not None and block is not None:
+        own = ["solved_share", "solved_low", "solved_high", "error_ratio", "ratio_low", "ratio_high", "in_best_set"]
+        rows = _ordered(ranks, block)[["method", *own]].merge(rows, on="method", sort=False)
+        columns = {
+            "solved": (_target(block), lambda row: _percent(row["solved_share"])),
+            "of scenes, 95 %": ("interval", _share_interval),
+            "error": ("× first", lambda row: number_text(row["error_ratio"])),
+            "ratio, 95 %": ("interval", lambda row: _interval(row["ratio_low"], row["ratio_high"])),
+            **columns,
+        }
+    else:
+        rows = rows.sort_values(error, na_position="last")
     while True:
-        table = _table(where, rows.sort_values(error, na_position="last"), columns)
+        table = _table(where, rows, columns)
         droppable = [head for head in DISPENSABLE if head in columns]
         wanted = console.measure(table, options=console.options.update(max_width=1000)).maximum
         if wanted <= console.width or not droppable:
@@ -139,15 +227,53 @@ def summary_table(where: str, rows: pd.DataFrame, error: str, outlier_m: float, 
         del columns[droppable[0]]
 
 
-def _table(where: str, rows: pd.DataFrame, columns: dict[str, tuple[str, Callable[[Any], str | Text]]]) -> Table:
+def _ordered(ranks: pd.DataFrame, block: Block) -> pd.DataFrame:
+    """The rows of a block: its best set, the recommended method first, then the others by their mean rank."""
+    first = [block.methods[i] for i in block.order]
+    place = {method: position for position, method in enumerate(first)}
+    pairs = zip(ranks["method"].tolist(), ranks["mean_rank"].tolist(), strict=True)
+    keys = [(place.get(method, len(first)), rank) for method, rank in pairs]
+    return ranks.iloc[sorted(range(len(ranks)), key=lambda i: keys[i])]
+
+
+def _target(block: Block) -> str:
+    """The target that counts as solved, without the word that is in the heading above it."""
+    first = block.points[0]
+    unit = " m" if first.target.startswith("error") and "bound" not in first.target and _in_metres(first) else ""
+    return f"{first.target.removeprefix('error ')}{unit}" if first.target else "an estimate"
+
+
+def _in_metres(outcomes: Outcomes) -> bool:
+    return outcomes.error_name.endswith("_m")
+
+
+def _marked(row: dict[Any, Any]) -> Text:
+    """The method, with a dot if it is in the best set."""
+    best = row.get("in_best_set")
+    return shown(
+        f"{'●' if best is True or best == 1 else ' '} {row['method']}" if "in_best_set" in row else row["method"]
+    )
+
+
+def _share_interval(row: dict[Any, Any]) -> str:
+    low, high = row["solved_low"], row["solved_high"]
+    return "" if math.isnan(low) else f"{100 * low:.0f} – {100 * high:.0f} %"
+
+
+def _plain_table(where: str) -> Table:
     table = Table(
         title=shown(where) if where else None, title_justify="left", title_style="bold", box=SIMPLE_HEAD, pad_edge=False
     )
     table.add_column("method\n", overflow="fold")
+    return table
+
+
+def _table(where: str, rows: pd.DataFrame, columns: dict[str, tuple[str, Callable[[Any], str | Text]]]) -> Table:
+    table = _plain_table(where)
     for head, (measure, _) in columns.items():
         table.add_column(Text(f"{printable(head)}\n{measure}"), justify="right", no_wrap=True)
     for row in rows.to_dict("records"):
-        table.add_row(shown(row["method"]), *(cell(row) for _, cell in columns.values()))
+        table.add_row(_marked(row), *(cell(row) for _, cell in columns.values()))
     return table
 
 

@@ -12,31 +12,52 @@ from .store import Store
 
 if TYPE_CHECKING:
     from .comparison import Comparison, compare
-    from .export import export_csv, export_ioh
+    from .evidence import Evidence
+    from .export_as_coco import export_coco
+    from .export_as_csv import export_csv
+    from .export_as_ioh import export_ioh
+    from .export_as_parquet import export_parquet
+    from .hits import Hits, Progress, find_hits, find_progress, targets_of
     from .merging import merge, missing_shards
 
 __all__ = [
     "Comparison",
+    "Evidence",
+    "Hits",
+    "Progress",
     "Results",
     "Store",
     "cell",
     "compare",
+    "export_coco",
     "export_csv",
     "export_ioh",
+    "export_parquet",
+    "find_hits",
+    "find_progress",
     "from_cell",
     "locked",
     "merge",
     "missing_shards",
     "network_file_system",
     "prepare",
+    "targets_of",
     "write_whole",
 ]
 
 _MODULES = {
     "Comparison": "comparison",
     "compare": "comparison",
-    "export_csv": "export",
-    "export_ioh": "export",
+    "Evidence": "evidence",
+    "Hits": "hits",
+    "Progress": "hits",
+    "find_hits": "hits",
+    "find_progress": "hits",
+    "targets_of": "hits",
+    "export_coco": "export_as_coco",
+    "export_csv": "export_as_csv",
+    "export_ioh": "export_as_ioh",
+    "export_parquet": "export_as_parquet",
     "merge": "merging",
     "missing_shards": "merging",
 }

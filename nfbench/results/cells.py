@@ -50,7 +50,7 @@ def csv_frame(frame: pd.DataFrame) -> pd.DataFrame:
     changed = {}
     for name in frame.columns:
         if name != "run_id" and frame[name].dtype.kind not in "biuf":
-            is_cell, known = name.startswith("scenario."), dict[Any, Any]()
+            is_cell, known = name.startswith(("scenario.", "budget.")), dict[Any, Any]()
             for value in frame[name].unique():  # texts repeat
                 known[value] = csv_text(value, is_cell) if isinstance(value, str) else value
             changed[name] = [known.get(value, value) for value in frame[name]]

@@ -8,13 +8,14 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from nfbench.analysis import default_groups
-from nfbench.core import StoreError
+from nfbench.analysis import holm, log_ratios, paired_change, swept_columns
+from nfbench.core import Status, StoreError
 
 from .results import Results
 
 __all__ = ["Comparison", "compare"]
 
+ALPHA = 0.05  # for all methods and swept points together
 ROUNDING = 1e-9  # relative difference that another BLAS or CPU may cause
 COMPARED = ("objective", "evaluations")
 
@@ -28,9 +29,9 @@ class Comparison:
     only_first, only_second: number of runs that only this folder has.
     rows: the runs that differ by more, with the columns ``<name>_first``, ``<name>_second`` and ``change``, the
     greatest relative difference of a number (inf if the status differs, or only one of the numbers is finite).
-    methods: each method's error in both folders, whether the second lies outside the first's 95 % interval (column
-    ``outside``), and whether that cannot be said because the errors differ and there is no interval (column
-    ``unknown``); empty if no rows differ.
+    methods: for each swept point and method the median error in both folders, the typical ratio second ÷ first with its
+    95 % interval and the p-value of no change, whether it is significant among all methods and points together (column
+    ``changed``), and whether there are too few scenes to say (column ``unknown``); empty if no rows differ.
     notes: sentences about differences between the studies themselves.
     """
 
@@ -44,14 +45,14 @@ class Comparison:
 
     @property
     def matters(self) -> bool:
-        """Whether a method's error left its 95 % interval, a status changed, or a folder lacks runs."""
+        """Whether a method's error has changed significantly, a status changed, or a folder lacks runs."""
         statuses = bool(len(self.rows)) and bool(np.isinf(self.rows["change"]).any())
-        moved = bool(len(self.methods)) and bool(self.methods["outside"].any())
+        moved = bool(len(self.methods)) and bool(self.methods["changed"].any())
         return statuses or moved or bool(self.only_first or self.only_second)
 
     @property
     def undecided(self) -> bool:
-        """Whether the data do not tell if the difference matters: no interval, or no run in both folders."""
+        """Whether the data do not tell if the difference matters: too few scenes, or no run in both folders."""
         unknown = bool(len(self.methods)) and bool(self.methods["unknown"].any())
         return not self.matters and (unknown or not (self.equal or self.rounding or len(self.rows)))
 
@@ -65,8 +66,8 @@ def compare(first: str | Path, second: str | Path) -> Comparison:
     one, two = Results(Path(first)), Results(Path(second))
     error, notes = _same_study(one, two)
     a, b = one.runs, two.runs
-    key = [name for name in a.columns if name.startswith("scenario.")] + ["method", "repetition"]
-    for lacking, which in ((set(key) - set(b.columns), "first"), (_swept(b) - set(key), "second")):
+    key = [*swept_columns(a), "method", "repetition"]
+    for lacking, which in ((set(key) - set(b.columns), "first"), (set(swept_columns(b)) - set(key), "second")):
         if lacking and len(a) and len(b):
             raise StoreError(
                 f"cannot compare {first} with {second}: only the {which} sweeps {', '.join(sorted(lacking))}"
@@ -79,15 +80,13 @@ def compare(first: str | Path, second: str | Path) -> Comparison:
     differing = joined[change > ROUNDING]
     shown = key + [f"{name}_{side}" for name in ("status", *names) for side in ("first", "second")]
     rows = differing[shown].assign(change=change[change > ROUNDING])
-    if (joined["instance_seed_first"] != joined["instance_seed_second"]).any():
-        notes.append("The scenes differ: an option of the scenario has changed.")
     return Comparison(
         equal=int((change == 0).sum()),
         rounding=int(((change > 0) & (change <= ROUNDING)).sum()),
         only_first=int((both["_merge"] == "left_only").sum()),
         only_second=int((both["_merge"] == "right_only").sum()),
         rows=rows,
-        methods=_methods(one, two, error) if len(rows) else pd.DataFrame(),
+        methods=_methods(joined, key[:-2], error) if len(rows) else pd.DataFrame(),
         notes=tuple(notes),
     )
 
@@ -105,11 +104,9 @@ def _same_study(one: Results, two: Results) -> tuple[str, list[str]]:
     notes = []
     if ours.get("plan") != theirs.get("plan"):
         notes.append("The folders plan different runs: their manifests or the versions of plugins differ.")
+    if ours.get("scenarios") != theirs.get("scenarios"):
+        notes.append("The scenes differ: an option of the scenario has changed.")
     return ours["error"], notes
-
-
-def _swept(runs: pd.DataFrame) -> set[str]:
-    return {name for name in runs.columns if name.startswith("scenario.")}
 
 
 def _objects(runs: pd.DataFrame, names: list[str]) -> pd.DataFrame:
@@ -130,13 +127,29 @@ def _change(joined: pd.DataFrame, names: list[str]) -> pd.Series[float]:
     return pd.Series(np.where(same_status, change, np.inf), index=joined.index)
 
 
-def _methods(one: Results, two: Results, error: str) -> pd.DataFrame:
-    """Each method's error in both folders at each scenario point."""
-    groups = default_groups(one.runs)
-    columns = [*groups, error, f"{error}_low", f"{error}_high"]
-    ours, theirs = (_objects(results.summary(), groups) for results in (one, two))
-    table = ours[columns].merge(theirs[[*groups, error]], on=groups, suffixes=("_first", "_second"))
-    before, after = table[f"{error}_first"], table[f"{error}_second"]
-    low, high = table[f"{error}_low"], table[f"{error}_high"]
-    same = np.isclose(before, after, rtol=ROUNDING, atol=0.0, equal_nan=True)
-    return table.assign(outside=(after < low) | (after > high), unknown=~same & (low.isna() | after.isna()))
+def _methods(joined: pd.DataFrame, swept: list[str], error: str) -> pd.DataFrame:
+    """How each method's error changes at each swept point, over the scenes that both folders have."""
+    if f"{error}_first" not in joined.columns:
+        return pd.DataFrame()
+    rows = []
+    for key, runs in joined.groupby([*swept, "method"], sort=False, dropna=False):
+        first, second = (_errors(runs, error, side) for side in ("first", "second"))
+        found = paired_change(first[None], second[None])
+        differ = bool((np.abs(log_ratios(second, first, ties=False)) > ROUNDING).any())
+        row = dict(zip([*swept, "method"], key, strict=True))
+        row |= {f"{error}_first": _median(first), f"{error}_second": _median(second)}
+        row |= {"ratio": found.ratio, "low": found.low, "high": found.high, "p": found.p}
+        rows.append({**row, "scenes": found.scenes, "unknown": differ and not found.can_be_judged})
+    table = pd.DataFrame(rows)
+    return table.assign(changed=holm(table["p"].to_numpy()) <= ALPHA) if rows else table
+
+
+def _errors(runs: pd.DataFrame, error: str, side: str) -> np.ndarray:
+    """The median error of each scene; infinite for failed runs."""
+    values = runs[f"{error}_{side}"].to_numpy(dtype=float)
+    failed = (runs[f"status_{side}"] != Status.OK).to_numpy() | np.isnan(values)
+    return pd.Series(np.where(failed, np.inf, values)).groupby(runs["scene_first"].to_numpy()).median().to_numpy()
+
+
+def _median(errors: np.ndarray) -> float:
+    return float(np.median(errors)) if len(errors) else float("nan")

@@ -9,6 +9,8 @@ from typing import Any
 
 import pandas as pd
 
+from nfbench.study import swept_column
+
 from .cells import cell
 from .store import RUN_COLUMNS
 from .values import settings
@@ -22,8 +24,8 @@ class RunsFrame:
     _TEXT = ("scenario", "formulation", "solver", "swept", "status", "message", "method")
     _NUMBERS = ("objective", "runtime_s", "cpu_s")
 
-    def __init__(self, study: str) -> None:
-        self._study = study
+    def __init__(self, study: str, runs_per_scene: int = 1) -> None:
+        self._study, self._runs_per_scene = study, runs_per_scene
         self._columns: dict[str, list[Any]] = {name: [] for name in RUN_COLUMNS if name != "scores"}
         self._scores: dict[str, dict[int, float]] = {}
         self._texts: dict[str, str] = {}
@@ -55,7 +57,9 @@ class RunsFrame:
 
         table: dict[str, Any] = {"run_id": columns["run_id"], "study": [self._study] * len(rows)}
         table |= {name: columns[name] for name in ("scenario", "formulation", "solver", "repetition")}
-        table |= {f"scenario.{key}": [cell(found[text][key]) for text in columns["swept"]] for key in swept}
+        for name, part in (("scene", 0), ("run", 1)):
+            table[name] = [divmod(number, self._runs_per_scene)[part] for number in columns["repetition"]]
+        table |= {swept_column(key): [cell(found[text][key]) for text in columns["swept"]] for key in swept}
         table |= {name: columns[name] for name in ("status", "message")}
         table |= {"rmse_m": score("rmse_m")}
         table |= {name: columns[name] for name in ("objective", "evaluations", "runtime_s", "cpu_s", "instance_seed")}

@@ -20,7 +20,13 @@ from .store import ORIGIN_COLUMNS, Store
 if TYPE_CHECKING:  # pandas is slow to import, and counting runs does not need it
     import pandas as pd
 
+    from nfbench.analysis import Axis, Ranking, Target
+
+    from .evidence import Evidence
+
 __all__ = ["Results"]
+
+TABLES = ("runs", "summary", "targets", "ranking")
 
 
 @dataclass(frozen=True)
@@ -43,7 +49,8 @@ class Results:
         from .frames import RunsFrame
 
         with Store(self.folder) as store:
-            frame = RunsFrame(store.described()["name"])
+            meta = store.described()
+            frame = RunsFrame(meta["name"], int(meta.get("runs_per_scene", "1")))
             for row in store.runs():
                 frame.add(*row)
             with guarded(store.path):
@@ -115,10 +122,13 @@ class Results:
         with Store(self.folder) as store:
             yield from store.traces()
 
-    def traced_runs(self) -> Iterator[TracedRun]:
-        """Yield every finished run with its method and traces, in order. Runs are read in pages."""
+    def traced_runs(self, lenient: bool = False) -> Iterator[TracedRun]:
+        """Yield every finished run with its method and traces, in order. Runs are read in pages.
+
+        lenient: whether a run whose traces are damaged is yielded without them, instead of raising StoreError.
+        """
         with Store(self.folder) as store:
-            yield from store.traced_runs()
+            yield from store.traced_runs(lenient)
 
     def estimates(self) -> Iterator[tuple[str, Any]]:
         """Yield (run_id, estimate as nested lists) of every finished run that has an estimate, in order."""
@@ -129,19 +139,62 @@ class Results:
         """One row per group of ``by`` (default: swept keys, formulation, solver, method); see ``summarize``."""
         return self._summary(self.runs, by, outlier_m)
 
-    def write_tables(self) -> None:
-        """Write ``runs.csv`` and ``summary.csv``; each replaces the old one only when it is complete.
+    @property
+    def targets(self) -> tuple[Target, ...]:
+        """What counts as solved: the targets of the manifest, or those that fit the scenario."""
+        return self.evidence().targets
 
-        Text that other programs would misread is written as ``csv_text`` does.
+    def hits(self) -> pd.DataFrame:
+        """One row per run and target: whether and when the run reached it; see ``Hits`` for the columns."""
+        return self.evidence().hits.frame
+
+    def target_table(self) -> pd.DataFrame:
+        """One row per swept point, method and target: the columns of ``targets.csv``."""
+        return self.evidence().target_table()
+
+    def ranking(self) -> Ranking:
+        """The ranking of the methods at each swept point and over all of them; its frame is ``ranking.csv``."""
+        return self.evidence().ranking
+
+    def claims(self) -> pd.DataFrame:
+        """One row per claim of the manifest with its verdict: the columns of ``claims.csv``; empty without claims."""
+        return self.evidence().claims()
+
+    def runtime_distribution(self, axis: Axis = "evaluations") -> pd.DataFrame:
+        """The share of scenes, runs and targets that each method has reached after a cost.
+
+        axis: the cost: "evaluations", "evaluation_equivalents" or "seconds". See ``runtime_distribution`` of
+        ``nfbench.analysis`` for the columns.
         """
-        runs = self.runs
-        write_whole(self.folder / "runs.csv", lambda path: csv_frame(runs).to_csv(path, index=False))
-        summary = self._summary(runs)
-        write_whole(self.folder / "summary.csv", lambda path: csv_frame(summary).to_csv(path, index=False))
+        from nfbench.analysis import runtime_distribution
+
+        return runtime_distribution(self.hits(), axis)
+
+    def evidence(self, runs: pd.DataFrame | None = None) -> Evidence:
+        """What the finished runs show, with each table computed once; ``runs`` are those of this folder, if known."""
+        from .evidence import Evidence
+
+        return Evidence(self, self.runs if runs is None else runs)
+
+    def write_tables(self) -> None:
+        """Write ``runs.csv``, ``summary.csv``, ``targets.csv``, ``ranking.csv``, and with claims ``claims.csv``.
+
+        Each replaces the old one only when it is complete. Text that other programs would misread is written as
+        ``csv_text`` does.
+        """
+        evidence = self.evidence()
+        tables = {"runs": evidence.runs, "summary": self._summary(evidence.runs)}
+        with np.errstate(all="ignore"):  # scores may be infinite
+            tables |= {"targets": evidence.target_table(), "ranking": evidence.ranking.frame}
+            if len(claims := evidence.claims()):
+                tables["claims"] = claims
+        for name, frame in tables.items():
+            text = csv_frame(frame)
+            write_whole(self.folder / f"{name}.csv", lambda path, text=text: text.to_csv(path, index=False))  # type: ignore[misc]
 
     def has_tables(self) -> bool:
-        """Whether ``runs.csv`` and ``summary.csv`` exist."""
-        return all((self.folder / name).is_file() for name in ("runs.csv", "summary.csv"))
+        """Whether the tables exist, except for ``claims.csv``, which not every study has."""
+        return all((self.folder / f"{name}.csv").is_file() for name in TABLES)
 
     def _summary(
         self, runs: pd.DataFrame, by: Sequence[str] | None = None, outlier_m: float | None = None

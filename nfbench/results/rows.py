@@ -17,7 +17,10 @@ __all__ = ["TracedRun", "plan_row", "result_row"]
 
 @dataclass(frozen=True)
 class TracedRun:
-    """A finished run with one trace for each problem that it minimized; no traces if it minimized none."""
+    """A finished run with one trace for each problem that it minimized; no traces if it minimized none.
+
+    damage: what is wrong with the traces in the file, which are left out then; empty if nothing is.
+    """
 
     run_id: str
     formulation: str
@@ -27,6 +30,7 @@ class TracedRun:
     status: str
     swept: dict[str, Any]
     traces: tuple[Trace, ...]
+    damage: str = ""
 
 
 def plan_row(ordinal: int, spec: RunSpec) -> tuple[Any, ...]:

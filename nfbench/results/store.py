@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import json
 import sqlite3
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
@@ -101,6 +102,8 @@ class Store:
                 f"writes it again and keeps all runs"
             )
         with guarded(self.path):
+            if not meta.get("runs_per_scene", "1").isascii() or not meta.get("runs_per_scene", "1").isdigit():
+                raise ValueError(f"table meta: expected runs_per_scene > 0, found {meta['runs_per_scene']!r:.80}")
             if not is_positive(meta["outlier_m"]):
                 raise ValueError(f"table meta: expected outlier_m > 0, found {meta['outlier_m']!r:.80}")
         return meta
@@ -184,8 +187,10 @@ class Store:
             except Exception as error:
                 raise ValueError(f"table results, row {run_id!r}, column traces: {error}") from error
 
-    def traced_runs(self) -> Iterator[TracedRun]:
+    def traced_runs(self, lenient: bool = False) -> Iterator[TracedRun]:
         """Yield every finished run of the plan with its traces, in order.
+
+        lenient: whether a run whose traces are damaged is yielded without them. Otherwise Damaged is raised.
 
         Runs are read in pages, so that a slow reader neither fills the memory nor blocks the writer.
         """
@@ -196,8 +201,13 @@ class Store:
         while page:
             page = [values for values, _ in self._checked("results", names, source, [page[-1][0], _PAGE])]
             for _, run_id, formulation, solver, method, repetition, status, swept, blob in page:
-                about = (run_id, formulation, solver, method, repetition, status)
-                yield TracedRun(*about, settings(swept), self._traces(run_id, blob))
+                about = (run_id, formulation, solver, method, repetition, status, settings(swept))
+                try:
+                    yield TracedRun(*about, self._traces(run_id, blob))
+                except Damaged as damage:
+                    if not lenient:
+                        raise
+                    yield TracedRun(*about, (), damage=str(damage))
 
     def swept_keys(self) -> list[str]:
         """The keys that the plan sweeps, in order."""
@@ -244,7 +254,11 @@ class Store:
                 f"or move this one aside with --fresh"
             )
         about = {"title": study.title, "expect": study.expect, "error": study.error, "outlier_m": study.outlier_m}
-        about |= {"plan": study.fingerprint, "runs": len(study)}
+        about |= {"plan": study.fingerprint, "runs": len(study), "runs_per_scene": study.runs_per_scene}
+        about["scenarios"] = study.scenarios
+        about |= {"targets": json.dumps(study.targets), "claims": json.dumps(study.claims)}
+        budgets = {method.label: method.budget["evaluations"] for method in study.methods if method.budget}
+        about |= {"budgets": json.dumps(budgets)}
         known = {key: str(value) for key, value in {**expected, **about}.items()}
         same_plan = found.get("plan") == known["plan"] and found.get("plan_rows") == self._plan_digest()
         if same_plan and known.items() <= found.items():

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from .claims import Claim, Compare, Names, claim_of
 from .manifest import load_scenarios, load_study
 from .plan import Study
-from .records import Method, PluginSpec, Point, RunRecord, RunSpec
+from .records import Method, PluginSpec, Point, RunRecord, RunSpec, swept_column
 from .resolve import ErrorCollector, Resolved, Resolver
 
 __all__ = [
+    "Claim",
+    "Compare",
     "ErrorCollector",
     "Method",
+    "Names",
     "PluginSpec",
     "Point",
     "Resolved",
@@ -17,6 +21,8 @@ __all__ = [
     "RunRecord",
     "RunSpec",
     "Study",
+    "claim_of",
     "load_scenarios",
     "load_study",
+    "swept_column",
 ]

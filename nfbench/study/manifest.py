@@ -6,21 +6,24 @@ import stat
 from collections.abc import Iterable
 from dataclasses import fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
-from nfbench.core import ManifestError, OptionError, PluginError, Scenario, build, relative_to
+from nfbench.core import ManifestError, OptionError, Options, PluginError, Scenario, build, relative_to
 from nfbench.plugins import Registry
 
+from .claims import claim_of, claim_problems
 from .methods import budget_limits, study_methods
 from .plan import Study
 from .plausibility import plugin_warnings
 from .reading import read_manifest as _read
-from .records import Method, PluginSpec
+from .records import Method, PluginSpec, swept_column
 from .resolve import ErrorCollector, Resolver
-from .schema import Manifest, Summary, Table
-from .sweep import AT_FIRST, Sweep, sweep_points
+from .schema import Manifest, Summary, Table, Targets
+from .sweep import AT_FIRST, Sweep, limits_given_twice, sweep_points, with_first_limits
 
 __all__ = ["load_scenarios", "load_study"]
+
+T = TypeVar("T", bound=Options)
 
 
 def load_study(path: str | Path, plugins: Iterable[str | Path] = ()) -> Study:
@@ -76,9 +79,17 @@ def _study(
     resolver = Resolver(registry, errors)
     sweep = Sweep(manifest, resolver)
     sweep.build(AT_FIRST)
-    budget_limits(manifest, {}, "budget", errors)
-    methods = study_methods(manifest, resolver, sweep.scenario)
-    summary = _summary(manifest.summary, errors)
+    limits_given_twice(manifest, errors)
+    first = with_first_limits(manifest)
+    budget_limits(first, {}, "budget", errors)
+    methods = study_methods(first, resolver, sweep.scenario)
+    summary = _table(Summary, manifest.summary, "summary", errors)
+    _table(Targets, manifest.targets, "targets", errors)
+    for i, table in enumerate(manifest.claim):
+        try:
+            claim_of(table)
+        except OptionError as error:
+            errors.add_all(f"claim[{i}]", error)
     if not errors.texts:  # a message about the other tables must not wait for thousands of points
         sweep.build()
     if errors.texts or sweep.scenario is None:
@@ -86,7 +97,7 @@ def _study(
     try:
         return _planned(manifest, text, sweep, methods, summary, resolver)
     except OptionError as error:
-        errors.add_all("", error)
+        _add_named(error, table, errors)
         return None
 
 
@@ -100,7 +111,7 @@ def _planned(
         title=manifest.title,
         expect=manifest.expect,
         seed=manifest.seed,
-        repetitions=manifest.repetitions,
+        scenes=manifest.scenes,
         points=tuple(sweep.points),
         methods=tuple(methods),
         error=scenario.error,
@@ -111,24 +122,56 @@ def _planned(
             *(f"plugin {file.name} is left out: {reason}" for file, reason in registry.broken.items()),
             *resolver.warnings,
         ),
+        runs_per_scene=manifest.runs_per_scene,
+        targets=_targets(manifest, methods),
+        claims=manifest.claim,
     )
+    _check_claims(study, resolver.errors)
     return replace(study, warnings=(*study.warnings, *plugin_warnings(sweep, methods, resolver)))
+
+
+def _targets(manifest: Manifest, methods: list[Method]) -> tuple[tuple[str, float], ...]:
+    """The targets in the order of the manifest; else the one at which all runs stop, if it is of such a kind."""
+    listed = tuple((kind, float(value)) for kind, values in manifest.targets.items() for value in values)
+    stops = [(method.budget or {}).get("target") for method in methods if method.solver]
+    if not listed and stops and isinstance(stops[0], dict) and all(stop == stops[0] for stop in stops):
+        return tuple((kind, float(value)) for kind, value in stops[0].items())
+    return listed
+
+
+def _check_claims(study: Study, errors: ErrorCollector) -> None:
+    """Record what the claims name that the study does not have."""
+    labels, swept = [method.label for method in study.methods], list(map(swept_column, study.swept))
+    for i, table in enumerate(study.claims):
+        for path, text in claim_problems(claim_of(table), labels, swept):
+            errors.add(f"claim[{i}].{path}", text)
 
 
 def _top_level(table: Table, errors: ErrorCollector) -> Manifest:
     """Read the top-level keys. Invalid ones are reported and replaced by stand-ins, so that the rest is checked too."""
-    for key in ("formulation", "solver", "method"):
+    given = table
+    if "repetitions" in table:
+        if "scenes" in table:
+            errors.add("repetitions", "is the old name of scenes; give only one of the two")
+        table = {"scenes": table["repetitions"], **{key: value for key, value in table.items() if key != "repetitions"}}
+    for key in ("formulation", "solver", "method", "claim"):
         if isinstance(table.get(key), dict):
             errors.add(key, f"expected a list of tables, got one table; write [[{key}]] instead of [{key}]")
             table = {**table, key: [table[key]]}
     try:
         return build(Manifest, table)
     except OptionError as error:
-        errors.add_all("", error)
+        _add_named(error, given, errors)
         invalid = {path.split(".")[0].split("[")[0] for path, _ in error.problems}
-        stand_ins: Table = {"name": "x", "scenario": {}, "repetitions": 1, "seed": 0}
+        stand_ins: Table = {"name": "x", "scenario": {}, "scenes": 1, "seed": 0}
         known = {f.name for f in fields(Manifest)}
         return build(Manifest, {**stand_ins, **{k: v for k, v in table.items() if k in known - invalid}})
+
+
+def _add_named(error: OptionError, given: Table, errors: ErrorCollector) -> None:
+    """Record the errors, with the old name of a key where the manifest uses it."""
+    for path, text in error.problems:
+        errors.add("repetitions" if path == "scenes" and "repetitions" in given else path, text)
 
 
 def _registry(files: Iterable[str | Path], errors: ErrorCollector) -> Registry:
@@ -157,9 +200,9 @@ def _not_regular(file: Path) -> str | None:
     return None if stat.S_ISREG(mode) else "expected a regular file, got a folder, pipe or device"
 
 
-def _summary(table: Table, errors: ErrorCollector) -> Summary:
+def _table(cls: type[T], table: Table, path: str, errors: ErrorCollector) -> T:
     try:
-        return build(Summary, table)
+        return build(cls, table)
     except OptionError as error:
-        errors.add_all("summary", error)
-        return Summary()
+        errors.add_all(path, error)
+        return cls()

@@ -2,11 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from nfbench.core import Formulation, OptionError, Scenario, Solver, build
+from nfbench.core import (
+    Budget,
+    Formulation,
+    OptionError,
+    Scenario,
+    Solver,
+    budget_problem,
+    budget_warning,
+    build,
+    start_problem,
+)
 
 from .labels import label_problem
 from .plan import digest
@@ -32,6 +42,8 @@ def study_methods(manifest: Manifest, resolver: Resolver, scenario: Scenario | N
     needs_budget = not any("budget" in text.partition(":")[0] for text in errors.texts)
     for pair in pairs:
         pair.check(scenario, errors, needs_budget)
+    if not errors.texts:
+        resolver.warnings += dict.fromkeys(filter(None, (pair.warning() for pair in pairs)))
     return _labelled(pairs, resolver)
 
 
@@ -53,6 +65,26 @@ class _Pair:
             errors.add(f"{self.path}.kind", f"{text}{scenario.instance.__name__}")
         if self.solver and needs_budget and self.limits.budget() is None:
             errors.add("budget", "is required: give evaluations or seconds")
+        if self.solver and self.solver.made and needs_budget:
+            for problem in self._unfit(self.solver.made):
+                errors.add(f"{self.path}.budget", f"{self.solver.spec.label}: {problem}")
+
+    def _unfit(self, solver: Solver) -> Iterator[str]:
+        """Yield why the solver cannot run with the budget."""
+        limits = self.limits
+        if limits.evaluations is limits.seconds is None:
+            return
+        if problem := budget_problem(solver, Budget(limits.evaluations, limits.seconds, limits.target)):
+            yield problem
+        if limits.start is not None and (problem := start_problem(solver)):
+            yield f"{problem}: leave it out, or start = {limits.start}"
+
+    def warning(self) -> str | None:
+        """A sentence if the solver plans for a number of evaluations that the budget does not give."""
+        limits, made = self.limits, self.solver.made if self.solver else None
+        if made is None or limits.seconds is None:
+            return None
+        return budget_warning(made, Budget(limits.evaluations, limits.seconds, limits.target))
 
 
 def _product(manifest: Manifest, resolver: Resolver) -> list[_Pair]:
@@ -188,5 +220,8 @@ def _labelled(pairs: list[_Pair], resolver: Resolver) -> list[Method]:
                 f"{pair.path}.label", f"{label!r} is also the label of {labels[label]}; give each method its own"
             )
         limits = pair.limits
-        methods.append(Method(formulation, solver, budget, label, limits.run_timeout_s, limits.run_memory_mb))
+        made = pair.solver.made if pair.solver else None
+        is_stochastic = made.info.stochastic if made else pair.solver is not None
+        timeout_s, memory_mb = limits.run_timeout_s, limits.run_memory_mb
+        methods.append(Method(formulation, solver, budget, label, timeout_s, memory_mb, is_stochastic))
     return methods

@@ -1,4 +1,4 @@
-"""A study, which is the product of scenario points, methods and repetitions, and the generator of its runs."""
+"""A study, which is the product of scenario points, methods, scenes and runs, and the generator of its runs."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from .records import Method, Point, RunSpec
 
 __all__ = ["MAX_RUNS", "Study", "digest", "seed_from"]
 
+SEEDS = 2  # version of how seeds depend on a study: of 1, the scenes also depended on the swept values
 MAX_RUNS = 10**9  # a plan of 300 GB; what is larger must be split into several studies
 
 
@@ -26,7 +27,7 @@ class Study:
     title: title shown in tables, reports and figures.
     expect: what the author expects the study to show.
     seed: seed from which the seeds of all instances and solvers are derived.
-    repetitions: number of repetitions of each method at each point.
+    scenes: number of scenes at each point. Scene number s is drawn with the same seed at every point.
     points: points of the sweep.
     methods: methods that the study compares.
     error: name of the score by which methods are ranked.
@@ -34,13 +35,16 @@ class Study:
     plugins: paths of the plugin files that the study needs.
     manifest: text of the manifest file.
     warnings: problems that do not prevent the study from running, such as plugin files that fail to import.
+    runs_per_scene: number of runs of each stochastic method on each scene; the others run once.
+    targets: (kind, value) of each target, in the order of the manifest; empty for the defaults.
+    claims: tables of the claims that the study tests, as in the manifest.
     """
 
     name: str
     title: str
     expect: str
     seed: int
-    repetitions: int
+    scenes: int
     points: tuple[Point, ...]
     methods: tuple[Method, ...]
     error: str
@@ -48,17 +52,20 @@ class Study:
     plugins: tuple[str, ...] = ()
     manifest: str = field(default="", repr=False)
     warnings: tuple[str, ...] = ()
+    runs_per_scene: int = 1
+    targets: tuple[tuple[str, float], ...] = ()
+    claims: tuple[dict[str, Any], ...] = ()
 
     def __post_init__(self) -> None:
-        points, methods = len(self.points), len(self.methods)
-        runs = self.repetitions * points * methods
+        runs = self.scenes * self._runs_of_scene
         if runs > MAX_RUNS:
-            text = f"{self.repetitions:,} repetitions × {points:,} points × {methods:,} methods = {runs:,}"
-            problem = f"expected at most {MAX_RUNS:,} runs, got {text}; split the study into several"
-            raise OptionError(type(self).__name__, [("repetitions", problem)])
+            text = f"{self.scenes:,} scenes × {len(self.points):,} points × {len(self.methods):,} methods"
+            text += f" × {self.runs_per_scene:,} runs per scene" if self.runs_per_scene > 1 else ""
+            problem = f"expected at most {MAX_RUNS:,} runs, got {text} = {runs:,}; split the study into several"
+            raise OptionError(type(self).__name__, [("scenes", problem)])
 
     def __len__(self) -> int:
-        return self.repetitions * len(self.points) * len(self.methods)
+        return self.scenes * self._runs_of_scene
 
     @cached_property
     def swept(self) -> list[str]:
@@ -66,42 +73,75 @@ class Study:
         return list(self.points[0].swept)
 
     @cached_property
+    def _repeated(self) -> list[int]:
+        """Positions of the methods that run several times per scene."""
+        return [i for i, method in enumerate(self.methods) if method.is_stochastic]
+
+    @cached_property
+    def _runs_of_scene(self) -> int:
+        again = (self.runs_per_scene - 1) * len(self._repeated)
+        return len(self.points) * (len(self.methods) + again)
+
+    @cached_property
     def fingerprint(self) -> str:
         """A hash that is equal for two studies if they plan the same runs with the same labels."""
         points = [[point.scenario.label, point.scenario.version, key, point.swept] for point, key in self._points]
         methods = [
-            [method.label, method.formulation.label, method.solver and method.solver.label, key, _versions(method)]
-            for method, key in self._methods
+            [
+                *(method.label, method.formulation.label, method.solver and method.solver.label),
+                *(_method_digest(method), _versions(method), method.is_stochastic),
+            ]
+            for method in self.methods
         ]
-        return digest([self.seed, self.repetitions, points, methods])
+        return digest([SEEDS, self.seed, self.scenes, self.runs_per_scene, points, methods])
+
+    @cached_property
+    def scenarios(self) -> str:
+        """A hash that is equal for two studies if they draw the same scenes from the same seed."""
+        return digest([[key, point.scenario.version] for point, key in self._points])
 
     def specs(self) -> Iterator[RunSpec]:
-        """Yield every run. Repetitions are the outermost loop, so an unfinished study treats all methods equally."""
+        """Yield every run. Scenes are the outermost loop, so an unfinished study treats all methods equally."""
         return map(self.spec, range(len(self)))
 
     def spec(self, ordinal: int) -> RunSpec:
         """Return the run at position ``ordinal`` of ``specs``."""
-        repetition, rest = divmod(ordinal, len(self.points) * len(self.methods))
-        point, point_digest = self._points[rest // len(self.methods)]
-        method, method_digest = self._methods[rest % len(self.methods)]
-        parts = (self.seed, point_digest, method_digest, repetition)
+        scene, rest = divmod(ordinal, self._runs_of_scene)
+        in_first_run = len(self.points) * len(self.methods)
+        if rest < in_first_run:
+            run, (place, number) = 0, divmod(rest, len(self.methods))
+        else:  # only stochastic methods run again
+            again, rest = divmod(rest - in_first_run, len(self.points) * len(self._repeated))
+            place, number = divmod(rest, len(self._repeated))
+            run, number = again + 1, self._repeated[number]
+        (point, point_digest), (method, method_digest) = self._points[place], self._methods(place)[number]
+        parts = (self.seed, point_digest, method_digest, scene, *([run] if run else []))
         return RunSpec(
-            run_id=digest([*parts, [point.scenario.version, *_versions(method)]])[:20],
+            run_id=digest([SEEDS, *parts, [point.scenario.version, *_versions(method)]])[:20],
             study=self.name,
             point=point,
             method=method,
-            repetition=repetition,
-            instance_seed=seed_from("instance", self.seed, point_digest, repetition),
+            repetition=scene * self.runs_per_scene + run,
+            instance_seed=seed_from("scene", self.seed, scene),
             solver_seed=seed_from("solver", *parts),
         )
 
     @cached_property
     def _points(self) -> list[tuple[Point, str]]:
-        return [(point, digest(point.scenario.identity)) for point in self.points]
+        return [(point, _point_digest(point)) for point in self.points]
+
+    def _methods(self, place: int) -> list[tuple[Method, str]]:
+        """The methods at a point, with the budget that is swept there."""
+        swept = self.points[place].budget
+        key = json.dumps(swept, sort_keys=True)
+        if key not in self._methods_by_budget:
+            methods = [method.with_budget(swept) for method in self.methods]
+            self._methods_by_budget[key] = [(method, _method_digest(method)) for method in methods]
+        return self._methods_by_budget[key]
 
     @cached_property
-    def _methods(self) -> list[tuple[Method, str]]:
-        return [(method, _method_digest(method)) for method in self.methods]
+    def _methods_by_budget(self) -> dict[str, list[tuple[Method, str]]]:
+        return {}
 
 
 def digest(data: Any) -> str:
@@ -115,9 +155,15 @@ def seed_from(*parts: Any) -> int:
     return int(digest(list(parts))[:16], 16) >> 1
 
 
+def _point_digest(point: Point) -> str:
+    identity = point.scenario.identity
+    return digest([identity, point.budget]) if point.budget else digest(identity)
+
+
 def _method_digest(method: Method) -> str:
     solver = method.solver.identity if method.solver else None
-    return digest([method.formulation.identity, solver, method.budget])
+    limits = {key: value for key, value in (method.budget or {}).items() if value is not None}
+    return digest([method.formulation.identity, solver, limits])
 
 
 def _versions(method: Method) -> list[str]:

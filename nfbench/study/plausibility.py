@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 
 from nfbench.core import Formulation, Scenario, explain, printable
+from nfbench.plugins import rehearse
 
 from .records import Method
 from .resolve import Resolver
@@ -19,12 +20,19 @@ LONGEST = 1000  # bytes of one warning
 
 def plugin_warnings(sweep: Sweep, methods: Iterable[Method], resolver: Resolver) -> list[str]:
     """Return the warnings of the scenario and the formulations of a study, each once, in one line."""
+    methods = list(methods)
     formulations: dict[str, Formulation] = {}
     for method in methods:
         made = resolver.made("formulation", method.formulation)
         if isinstance(made, Formulation):
             formulations[method.formulation.label] = made
     examined = [scenario for scenario in sweep.scenarios if scenario][: max(CALLS // (len(formulations) + 1), 1)]
+    kinds = [("scenario", point.scenario.kind) for point in sweep.points[:1]]
+    kinds += [("formulation", method.formulation.kind) for method in methods]
+    if any(resolver.registry.find(*kind).foreign for kind in kinds):  # its code could end or block this process
+        advice = "its method `warnings` must return a list of texts"
+        if reason := rehearse(lambda: "\n".join(_all(examined, formulations))[:0], "asked for warnings", advice):
+            return [printable(f"a plugin of the scenario or a formulation {reason}", LONGEST)]
     found = list(dict.fromkeys(_all(examined, formulations)))
     left = len(found) - SHOWN
     return found if left <= 0 else [*found[:SHOWN], f"{left:,} more warnings of the scenario and the formulations"]

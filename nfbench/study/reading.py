@@ -59,7 +59,7 @@ def read_manifest(path: Path) -> tuple[Table, str]:
     except (ValueError, RecursionError, MemoryError) as error:  # of tomllib, or of a path with a null character
         raise ManifestError(str(path), [f"cannot be read: {type(error).__name__}: {error}"]) from error
     if not table:
-        required = "name, repetitions, seed, [scenario] and [[formulation]]"
+        required = "name, scenes, seed, [scenario] and [[formulation]]"
         raise ManifestError(str(path), [f"is empty: expected at least {required}"])
     if problems := list(_problems(table)):
         raise ManifestError(str(path), problems)

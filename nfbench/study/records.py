@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 import os
 import socket
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from nfbench.core import Status, Trace
 
-__all__ = ["Method", "PluginSpec", "Point", "RunRecord", "RunSpec"]
+__all__ = ["Method", "PluginSpec", "Point", "RunRecord", "RunSpec", "swept_column"]
 
 
 @dataclass(frozen=True)
@@ -39,16 +39,23 @@ class PluginSpec:
         return {"kind": self.kind, **self.chosen}
 
 
+def swept_column(key: str) -> str:
+    """Return the name of the column of a swept key in tables: ``scenario.snr_db``, ``budget.evaluations``."""
+    return key if key.startswith("budget.") else f"scenario.{key}"
+
+
 @dataclass(frozen=True)
 class Point:
     """One point of the sweep.
 
     scenario: scenario at this point.
-    swept: value of each swept key at this point.
+    swept: value of each swept key at this point; keys of the budget start with ``budget.``.
+    budget: limits of the budget that are swept, as the options of Budget.
     """
 
     scenario: PluginSpec
     swept: dict[str, Any]
+    budget: dict[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -61,6 +68,7 @@ class Method:
     label: name shown in tables.
     run_timeout_s: time after which a run is killed [s]; None for no limit.
     run_memory_mb: memory that a run may allocate [MiB]; None for no limit.
+    is_stochastic: whether another run on the same scene can have another result.
     """
 
     formulation: PluginSpec
@@ -69,6 +77,11 @@ class Method:
     label: str
     run_timeout_s: float | None = None
     run_memory_mb: int | None = None
+    is_stochastic: bool = True
+
+    def with_budget(self, swept: dict[str, Any]) -> Method:
+        """Return this method with the limits that are swept; the method itself if it has no solver."""
+        return replace(self, budget={**self.budget, **swept}) if self.budget is not None and swept else self
 
 
 @dataclass(frozen=True)
@@ -76,15 +89,15 @@ class RunSpec:
     """The specification of one run as text and numbers, which can be stored and is the same on every machine.
 
     run_id: hash of everything that determines the result: the options of the scenario, formulation and solver that
-    differ from their defaults, the budget, the study's seed, the repetition and the plugin versions. Labels, timeouts,
-    worker counts and paths do not enter it.
+    differ from their defaults, the budget, the study's seed, the numbers of the scene and of the run on it, and the
+    plugin versions. Labels, timeouts, worker counts and paths do not enter it.
     study: name of the study.
     point: point of the sweep.
     method: method to run.
-    repetition: number of the repetition, starting at 0.
-    instance_seed: seed of the instance. It is the same for every method at a scenario point and repetition, so that
-    comparisons are paired.
-    solver_seed: seed of the solver. It depends on the scenario, the method, the study's seed and the repetition.
+    repetition: number of the scene, from 0, times the study's runs per scene, plus the number of the run on it.
+    instance_seed: seed of the scene. It depends on the study's seed and the number of the scene only, so that every
+    swept value, method and run sees the same scene as far as possible, and comparisons are paired.
+    solver_seed: seed of the solver. It depends on everything that determines the result except plugin versions.
     """
 
     run_id: str

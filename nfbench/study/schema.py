@@ -8,13 +8,14 @@ from typing import Annotated, Any, TypeAlias
 
 from pydantic import StringConstraints
 
-from nfbench.core import Budget, Ge, Gt, Le, Lt, OptionError, Options, canonical
+from nfbench.core import Budget, Ge, Gt, Le, Lt, OptionError, Options, TargetOption, canonical
 
 from .labels import label_problem
 
-__all__ = ["Limits", "Manifest", "MethodTable", "Summary", "Table"]
+__all__ = ["Limits", "Manifest", "MethodTable", "Summary", "Table", "Targets"]
 
 Table: TypeAlias = dict[str, Any]
+_Positive: TypeAlias = Annotated[float, Gt(0.0), Lt(math.inf)]
 
 LONGEST_S = 1e9  # run_timeout_s beyond this means no limit
 LARGEST_MB = 2**30  # so does run_memory_mb beyond this [MiB], a pebibyte
@@ -28,7 +29,8 @@ class Manifest(Options):
     name: name of the study and of its results folder: letters, digits, hyphens and underscores, at most 64 characters.
     It must not be what a spreadsheet or pandas takes for a number, a date or a missing value.
     scenario: ``[scenario]`` table: the ``kind`` of a scenario and its options.
-    repetitions: number of repetitions of each method at each point of the sweep; each repetition has its own instance.
+    scenes: number of scenes at each point of the sweep; scene number s has the same seed at every point. The old name
+    ``repetitions`` is accepted.
     seed: seed from which the seeds of all instances and solvers are derived.
     title: title shown in tables, reports and figures; empty for none.
     expect: what the author expects the study to show; it is printed with the results; empty for nothing.
@@ -40,11 +42,15 @@ class Manifest(Options):
     method: ``[[method]]`` tables, which name further pairs of a formulation and a solver.
     budget: ``[budget]`` table: the limits for solvers and runs.
     summary: ``[summary]`` table: settings of the summary tables.
+    runs_per_scene: number of runs of each stochastic method on each scene, at most 10^6; the other methods run once.
+    targets: ``[targets]`` table: lists of the errors and gaps at which a run counts as solved; the first value is the
+    one by which methods are judged. Empty for targets that fit the scenario.
+    claim: ``[[claim]]`` tables: statements that the results are to confirm or contradict.
     """
 
     name: Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$")]
     scenario: Table
-    repetitions: Annotated[int, Ge(1)]
+    scenes: Annotated[int, Ge(1)]
     seed: Annotated[int, Ge(0), Lt(2**63)]
     title: str = ""
     expect: str = ""
@@ -55,9 +61,12 @@ class Manifest(Options):
     method: tuple[Table, ...] = ()
     budget: Table = field(default_factory=dict)
     summary: Table = field(default_factory=dict)
+    runs_per_scene: Annotated[int, Ge(1), Le(10**6)] = 1
+    targets: Table = field(default_factory=dict)
+    claim: tuple[Table, ...] = ()
 
     def validate(self) -> None:
-        tables = {"formulation": self.formulation, "solver": self.solver, "method": self.method}
+        tables = {"formulation": self.formulation, "solver": self.solver, "method": self.method, "claim": self.claim}
         problems = [
             (key, f"expected at most {MAX_TABLES:,} [[{key}]] tables, got {len(entries):,}")
             for key, entries in tables.items()
@@ -75,14 +84,18 @@ class Limits(Options):
 
     evaluations: maximum number of evaluations of the objective per problem; None for no limit.
     seconds: maximum wall-clock time per problem [s]; None for no limit.
-    target: objective value, in the problem's unit, at or below which the solver is stopped; None for no target.
+    target: objective value, in the problem's unit, at or below which the solver is stopped, or a table with one of
+    ``gap``, ``error`` and ``error_in_bounds``; None for no target.
+    start: number of points, at most 10^6, of a sample of each problem that is the same for all solvers, evaluated first
+    and given to the solver as its start; None: each solver starts as it does.
     run_timeout_s: time after which a run is killed [s]; None, or more than 10^9, for no limit.
     run_memory_mb: memory that a run may allocate [MiB]; None, or more than 2^30, for no limit.
     """
 
     evaluations: Annotated[int, Ge(1), Le(10**15)] | None = None
     seconds: Annotated[float, Gt(0.0), Le(1e9)] | None = None
-    target: Annotated[float, Gt(-math.inf), Lt(math.inf)] | None = None
+    target: TargetOption = None
+    start: Annotated[int, Ge(1), Le(10**6)] | None = None
     run_timeout_s: Annotated[float, Gt(0.0)] | None = None
     run_memory_mb: Annotated[int, Ge(1)] | None = None
 
@@ -98,7 +111,9 @@ class Limits(Options):
         if self.evaluations is self.seconds is self.target is None:
             return None
         table: Table = canonical(Budget(self.evaluations, self.seconds, self.target))
-        return table
+        if isinstance(target := table["target"], dict):
+            table["target"] = {kind: value for kind, value in target.items() if value is not None}
+        return table if self.start is None else {**table, "start": self.start}
 
 
 @dataclass(frozen=True)
@@ -109,6 +124,21 @@ class Summary(Options):
     """
 
     outlier_m: Annotated[float, Gt(0.0), Lt(math.inf)] = 1.0
+
+
+@dataclass(frozen=True)
+class Targets(Options):
+    """``[targets]``: what counts as solved, most important first. The first of all values is the one by which methods
+    are judged.
+
+    error_in_bounds: errors in multiples of the Cramér–Rao bound of the scene.
+    error: errors in the unit of the scenario's error measure.
+    gap: differences between the best objective value and the reference optimum of the same problem.
+    """
+
+    error_in_bounds: tuple[_Positive, ...] = ()
+    error: tuple[_Positive, ...] = ()
+    gap: tuple[_Positive, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -6,22 +6,42 @@ import copy
 import itertools
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
-from nfbench.core import Scenario
+from nfbench.core import OptionError, Scenario, build
 
+from .plan import digest
 from .records import Point
 from .resolve import ErrorCollector, Resolver
-from .schema import Manifest, Table
+from .schema import Limits, Manifest, Table
 
-__all__ = ["AT_FIRST", "Sweep", "sweep_points"]
+__all__ = ["AT_FIRST", "Sweep", "limits_given_twice", "sweep_points", "with_first_limits"]
 
 MAX_KEYS = 100
 MAX_POINTS = 10_000
 MAX_COPIED = 5_000_000  # values of the scenario's table, times the number of points
+SCENARIO, BUDGET = "scenario.", "budget."  # what a swept key may start with; without it, it is of the scenario
+SWEPT_LIMITS = ("evaluations", "seconds", "target")
 AT_FIRST = 200  # points that are built before the other tables are checked
 ENOUGH = 100  # errors after which no further point is built
+
+
+def with_first_limits(manifest: Manifest) -> Manifest:
+    """Return the manifest with the first swept value of each limit in ``[budget]``, to check the methods with."""
+    swept = _swept(manifest.sweep, ErrorCollector())
+    first = {key.removeprefix(BUDGET): values[0] for key, values in swept.items() if key.startswith(BUDGET)}
+    return replace(manifest, budget={**manifest.budget, **first})
+
+
+def limits_given_twice(manifest: Manifest, errors: ErrorCollector) -> None:
+    """Record an error for each limit that is swept and also given by a formulation or method, which would ignore it."""
+    swept = {key.removeprefix(BUDGET) for key in _swept(manifest.sweep, ErrorCollector()) if key.startswith(BUDGET)}
+    for name, tables in (("formulation", manifest.formulation), ("method", manifest.method)):
+        for i, table in enumerate(tables):
+            own = table.get("budget")
+            for key in sorted(swept & set(own)) if isinstance(own, dict) else ():
+                errors.add(f"{name}[{i}].budget.{key}", f"is swept by sweep.{BUDGET}{key}; give only one of the two")
 
 
 def sweep_points(manifest: Manifest, resolver: Resolver) -> tuple[list[Point], Scenario | None]:
@@ -97,23 +117,50 @@ class Sweep:
         swept = self._swept
         for indexed in itertools.product(*(list(enumerate(values)) for values in swept.values())):
             values = {key: value for key, (_, value) in zip(swept, indexed, strict=True)}
-            yield values, {f"scenario.{key}": f"sweep.{key}[{i}]" for key, (i, _) in zip(swept, indexed, strict=True)}
+            paths = {_path(key): f"sweep.{key}[{i}]" for key, (i, _) in zip(swept, indexed, strict=True)}
+            yield values, paths
 
     def _build(self, setting: Table, paths: dict[str, str]) -> None:
         errors, point_errors = self.resolver.errors, ErrorCollector()
-        table = _with(self.manifest.scenario, setting)
+        budget = {key.removeprefix(BUDGET): value for key, value in setting.items() if key.startswith(BUDGET)}
+        table = _with(self.manifest.scenario, {key: setting[key] for key in setting if not key.startswith(BUDGET)})
+        limits = self._limits(budget, paths)
+        scenario_paths = {path: place for path, place in paths.items() if path.startswith(SCENARIO)}
         resolved = self.resolver.resolve("scenario", table, "scenario", point_errors)
         for text in point_errors.texts:
-            errors.add_line(_renamed(text, paths, self.manifest.scenario))
-        if resolved is None:
+            errors.add_line(_renamed(text, scenario_paths, self.manifest.scenario))
+        if resolved is None or limits is None:
             return
         origin = ", ".join(paths.values())
-        first = self._seen.setdefault(resolved.identity, origin)
+        first = self._seen.setdefault(digest([resolved.identity, limits]), origin)
         if first != origin:
             errors.add(origin, f"gives the same scenario as {first}")
         spec = resolved.spec
         self.scenarios.append(resolved.made)
-        self.points.append(Point(spec, {key: _at(spec.options, key, setting[key]) for key in self._swept}))
+        values = {
+            key: limits.get(key.removeprefix(BUDGET), setting[key])
+            if key.startswith(BUDGET)
+            else _at(spec.options, key, setting[key])
+            for key in self._swept
+        }
+        self.points.append(Point(spec, values, limits))
+
+    def _limits(self, budget: Table, paths: dict[str, str]) -> Table | None:
+        """The swept limits in canonical form; None if they are not valid, which is recorded."""
+        errors, problems = self.resolver.errors, []
+        if not budget:
+            return {}
+        if unknown := [key for key in budget if key not in SWEPT_LIMITS]:
+            problems = [(key, f"cannot be swept; [budget] keys that can: {', '.join(SWEPT_LIMITS)}") for key in unknown]
+        else:
+            try:
+                found = build(Limits, {**self.manifest.budget, **budget}).budget() or {}
+                return {key: found[key] for key in budget}
+            except OptionError as error:
+                problems = error.problems
+        for key, text in problems:
+            errors.add_line(f"{paths.get(f'budget.{key}', f'budget.{key}')}: {text}")
+        return None
 
 
 def _renamed(text: str, paths: Mapping[str, str], given: Table) -> str:
@@ -141,13 +188,29 @@ def _has(table: Any, keys: list[str]) -> bool:
     return True
 
 
-def _swept(sweep: Table, errors: ErrorCollector, prefix: str = "") -> dict[str, list[Any]]:
+def _path(key: str) -> str:
+    """The path in the manifest of a swept key."""
+    return key if key.startswith(BUDGET) else f"{SCENARIO}{key}"
+
+
+def _swept(sweep: Table, errors: ErrorCollector) -> dict[str, list[Any]]:
+    """Return the swept values by key: of an option of the scenario its path in [scenario], else ``budget.<key>``."""
+    swept: dict[str, list[Any]] = {}
+    for path, values in _flat(sweep, errors).items():
+        key = path.removeprefix(SCENARIO)
+        if key in swept:
+            errors.add(f"sweep.{path}", f"is given twice, as {key} and as {SCENARIO}{key}")
+        swept[key] = values
+    return swept
+
+
+def _flat(sweep: Table, errors: ErrorCollector, prefix: str = "") -> dict[str, list[Any]]:
     """Return ``[sweep]`` with nested tables flattened to dotted keys."""
     swept: dict[str, list[Any]] = {}
     for key, values in sweep.items():
         path = f"{prefix}{key}"
         if isinstance(values, dict):
-            found = _swept(values, errors, f"{path}.")
+            found = _flat(values, errors, f"{path}.")
         elif isinstance(values, list) and values:
             found = {path: values}
         else:

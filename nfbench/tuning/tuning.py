@@ -17,7 +17,7 @@ import pandas as pd
 from jaxtyping import Float
 from numpy import ndarray
 
-from nfbench.analysis import judge, summarize
+from nfbench.analysis import summarize, tuning_verdict
 from nfbench.core import (
     Budget,
     MissingExtra,
@@ -149,7 +149,7 @@ class _Search:
         self.study, self.plan = study, plan
         self.method = _method(study, plan)
         self.registry = Registry(study.plugins)
-        self.first = max(study.repetitions, plan.held_out)  # first training repetition
+        self.first = max(study.scenes, plan.held_out)  # first training repetition
         default = self.registry.make("solver", plan.solver, plan.options)
         self.domains = {name: d for name, d in domains(type(default)).items() if name not in plan.options}
         if not self.domains:
@@ -280,7 +280,7 @@ class _Search:
         return np.maximum(ok, FLOOR)
 
     def _specs(self, solver: PluginSpec, repetitions: range) -> list[RunSpec]:
-        study = replace(self.study, methods=(replace(self.method, solver=solver),))
+        study = replace(self.study, methods=(replace(self.method, solver=solver),), runs_per_scene=1)
         points = len(study.points)
         return [study.spec(repetition * points + point) for repetition in repetitions for point in range(points)]
 
@@ -303,7 +303,8 @@ class _Search:
                 for record in records
             ]
         frame = summarize(pd.DataFrame(rows), ["method"], error=self.error, outlier_m=self.study.outlier_m)
-        return frame, judge(errors["default"], errors["tuned"])
+        by_point = (error.reshape(self.plan.held_out, -1).T for error in (errors["default"], errors["tuned"]))
+        return frame, tuning_verdict(*by_point)
 
 
 def _method(study: Study, plan: Plan) -> Method:

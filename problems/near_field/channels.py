@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated, ClassVar, TypeAlias, final
 
@@ -46,7 +47,7 @@ class NLoS(ABC):
     @abstractmethod
     def factors(
         self,
-        rng: np.random.Generator,
+        rngs: Sequence[np.random.Generator],
         manifold: Manifold,
         theta: Float[ndarray, "k d"],
         lower: Float[ndarray, " d"],
@@ -56,7 +57,7 @@ class NLoS(ABC):
 
         g_k is the sum of the waves with gains z ~ CN(0, I). None stands for F_k = I.
 
-        rng: random generator.
+        rngs: random generator of each source, so that its waves do not depend on the other sources.
         manifold: array and wavefront model.
         theta: sources [rad, m], shape (K, d).
         lower: lower bounds of one source [rad, m], shape (d,).
@@ -74,14 +75,15 @@ class NLoS(ABC):
     ) -> Complex[ndarray, "count m k"]:
         """Return ``count`` independent draws of G = [g_1 … g_K] in one scene, with E‖g_k‖² = M.
 
-        The first draws do not depend on ``count``, except for rounding. The other arguments are those of ``factors``.
+        Each source has its own child of ``rng`` for its geometry, and another for its gains: the first sources do not
+        depend on how many there are, nor the first draws on ``count``, except for rounding. The other arguments are
+        those of ``factors``.
         """
-        F = self.factors(rng, manifold, theta, lower, upper)
+        for_geometry, for_gains = _streams(rng, len(theta))
+        F = self.factors(for_geometry, manifold, theta, lower, upper)
         waves = manifold.elements if F is None else F.shape[1]
-        Z = complex_normal(rng, (count, waves, len(theta)))
-        if F is None:
-            return Z
-        G: ndarray = np.ascontiguousarray(np.moveaxis(Z, 2, 0)) @ F  # BLAS needs a contiguous array
+        Z = np.stack([complex_normal(own, (count, waves)) for own in for_gains])  # (K, count, waves)
+        G: ndarray = Z if F is None else Z @ F
         return np.moveaxis(G, 0, 2)
 
     def covariance(
@@ -93,7 +95,8 @@ class NLoS(ABC):
         upper: Float[ndarray, " d"],
     ) -> Complex[ndarray, "k m m"]:
         """Return E[g_k·g_kᴴ] of each source, for the scene that ``draw`` draws with a generator in the same state."""
-        F = self.factors(rng, manifold, theta, lower, upper)
+        for_geometry, _ = _streams(rng, len(theta))
+        F = self.factors(for_geometry, manifold, theta, lower, upper)
         if F is None:
             return np.tile(np.eye(manifold.elements, dtype=np.complex128), (len(theta), 1, 1))
         R: ndarray = F.transpose(0, 2, 1) @ F.conj()
@@ -109,7 +112,7 @@ class IID(Options, NLoS):
 
     def factors(
         self,
-        rng: np.random.Generator,
+        rngs: Sequence[np.random.Generator],
         manifold: Manifold,
         theta: Float[ndarray, "k d"],
         lower: Float[ndarray, " d"],
@@ -134,7 +137,7 @@ class Isotropic(Options, NLoS):
 
     def factors(
         self,
-        rng: np.random.Generator,
+        rngs: Sequence[np.random.Generator],
         manifold: Manifold,
         theta: Float[ndarray, "k d"],
         lower: Float[ndarray, " d"],
@@ -184,14 +187,14 @@ class Clusters(Options, NLoS):
 
     def factors(
         self,
-        rng: np.random.Generator,
+        rngs: Sequence[np.random.Generator],
         manifold: Manifold,
         theta: Float[ndarray, "k d"],
         lower: Float[ndarray, " d"],
         upper: Float[ndarray, " d"],
     ) -> Complex[ndarray, "k s m"]:
-        centres = rng.uniform(lower, upper, (len(theta), self.clusters, len(lower)))
-        scatterers = _scatter(rng, centres, self.scatterers, self.angular_spread_deg, self.range_spread_m)
+        centres = np.stack([own.uniform(lower, upper, (self.clusters, len(lower))) for own in rngs])
+        scatterers = _scatter(rngs, centres, self.scatterers, self.angular_spread_deg, self.range_spread_m)
         w = np.ones(self.clusters) if self.weights is None else np.array(self.weights)
         amplitude = np.sqrt(w / w.sum() / self.scatterers)
         waves = amplitude[:, None, None] * manifold.response(scatterers)
@@ -223,27 +226,34 @@ class ClusterAroundSource(Options, NLoS):
 
     def factors(
         self,
-        rng: np.random.Generator,
+        rngs: Sequence[np.random.Generator],
         manifold: Manifold,
         theta: Float[ndarray, "k d"],
         lower: Float[ndarray, " d"],
         upper: Float[ndarray, " d"],
     ) -> Complex[ndarray, "k s m"]:
-        scatterers = _scatter(rng, theta, self.scatterers, self.angular_spread_deg, self.range_spread_m)
+        scatterers = _scatter(rngs, theta, self.scatterers, self.angular_spread_deg, self.range_spread_m)
         return manifold.response(scatterers) / math.sqrt(self.scatterers)
 
 
+def _streams(rng: np.random.Generator, sources: int) -> tuple[list[np.random.Generator], list[np.random.Generator]]:
+    """Return the generators of each source's geometry and of its gains."""
+    for_geometry, for_gains = zip(*(child.spawn(2) for child in rng.spawn(sources)), strict=True)
+    return list(for_geometry), list(for_gains)
+
+
 def _scatter(
-    rng: np.random.Generator,
-    centres: Float[ndarray, "*c d"],
+    rngs: Sequence[np.random.Generator],
+    centres: Float[ndarray, "k *c d"],
     count: int,
     angular_spread_deg: float,
     range_spread_m: float | None,
-) -> Float[ndarray, "*c count d"]:
-    """Draw ``count`` points around each centre [rad, m]."""
+) -> Float[ndarray, "k *c count d"]:
+    """Draw ``count`` points around each centre [rad, m]; each source has its own generator."""
     spread = np.full(centres.shape, math.radians(angular_spread_deg))
     spread[..., -1] = spread[..., -1] * centres[..., -1] if range_spread_m is None else range_spread_m
-    offsets = rng.standard_normal((*centres.shape[:-1], count, centres.shape[-1]))
+    shape = (*centres.shape[1:-1], count, centres.shape[-1])
+    offsets = np.stack([own.standard_normal(shape) for own in rngs])
     points = centres[..., None, :] + spread[..., None, :] * offsets
     points[..., -1] = np.abs(points[..., -1])
     return points

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import permutations
 from typing import final
 
 import numpy as np
@@ -19,6 +20,8 @@ from .geometry import cartesian
 from .wavefronts import Manifold
 
 __all__ = ["NearFieldInstance"]
+
+ENUMERATED = 3  # up to this number of sources, trying all assignments of many estimates is faster than Kuhn's algorithm
 
 
 @final
@@ -95,6 +98,15 @@ class NearFieldInstance(Instance):
         scores |= {f"error_{k}_m": float(error) for k, error in enumerate(errors, start=1)}
         return scores | self.bounds()
 
+    def errors(self, measure: str, estimates: Float[ndarray, "r found d"]) -> Float[ndarray, " r"]:
+        d = self.theta.shape[1]
+        if measure != "rmse_m" or estimates.ndim != 3 or estimates.shape[2] != d or not estimates.shape[1]:
+            return super().errors(measure, estimates)
+        with np.errstate(over="ignore", invalid="ignore"):
+            differences = cartesian(self.theta)[:, None] - cartesian(estimates)[:, None]
+            squares = np.sum(differences**2, axis=-1)  # (r, K, found)
+        return np.sqrt(_assigned(squares) / min(squares.shape[1:]))
+
     def positions(self, estimate: Float[ndarray, "q d"]) -> tuple[Float[ndarray, "k 3"], Float[ndarray, "k 3"]]:
         """Return the true positions and, row by row, the estimates assigned to them as in ``score`` [m]."""
         truth, found = (
@@ -139,6 +151,22 @@ class NearFieldInstance(Instance):
             "crb_deterministic_m": _root_mean_square(position_bounds(deterministic, self.theta)),
             **{f"crb_{k}_m": float(bound) for k, bound in enumerate(per_source, start=1)},
         }
+
+
+def _assigned(squares: Float[ndarray, "r k found"]) -> Float[ndarray, " r"]:
+    """Return the sum of the assigned squared distances [m²] for each of r estimates; NaN where one is not finite."""
+    K, found = squares.shape[1:]
+    finite = np.isfinite(squares).all(axis=(1, 2))
+    if max(K, found) <= ENUMERATED:
+        squares = squares.swapaxes(1, 2) if found < K else squares
+        rows = range(min(K, found))
+        with np.errstate(invalid="ignore"):
+            sums = [squares[:, rows, list(p)].sum(axis=1) for p in permutations(range(max(K, found)), len(rows))]
+        return np.where(finite, np.min(sums, axis=0), math.nan)
+    sums = [
+        each[linear_sum_assignment(each)].sum() if ok else math.nan for each, ok in zip(squares, finite, strict=True)
+    ]
+    return np.array(sums)
 
 
 def _root_mean_square(lengths: Float[ndarray, " k"]) -> float:

@@ -7,16 +7,17 @@ from dataclasses import dataclass
 from typing import Annotated, ClassVar, Literal, TypeAlias, final
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Complex, Float
 from numpy import ndarray
 
 from nfbench import Ge, Gt, Instance, Le, Lt, OneOf, OptionError, Scenario
 
 from .arrays import UCA, ULA, UPA, Array, Custom, unusual
 from .channels import IID, ClusterAroundSource, Clusters, Isotropic, NLoS, complex_normal, rician
-from .geometry import ambiguity, directions
+from .geometry import ambiguity
 from .instance import NearFieldInstance
 from .objectives import kernels
+from .placement import has_room, place_sources
 from .wavefronts import Manifold, Wavefront
 
 __all__ = ["NearField", "NearFieldInstance"]
@@ -28,8 +29,6 @@ MAX_NUMBERS = 10**8  # in one array of a draw, 1.6 GB
 MAX_SOURCES = 1000
 BEYOND = 0.6  # share of the interval of ranges that may lie beyond the Fraunhofer distance
 FLAT = 0.02  # deviation from a line or plane [wavelengths, root mean square] that phases do not show
-
-_BATCH, _BATCHES = 1000, 100  # placements per attempt, and attempts, to find sources that are far enough apart
 
 
 @final
@@ -97,6 +96,12 @@ class NearField(Scenario):
             problems.append(("fading", f'expected "block" or "snapshot" for rician_k = {self.rician_k:g}, got none'))
         if self.positions is not None and not problems:
             problems += self._misplaced(self.positions)
+        if self.positions is None and not problems:
+            separation, box = math.radians(self.min_separation_deg), self.box()
+            if not has_room(*box, self.sources, separation):
+                low, high = self.azimuth_deg
+                text = f"expected room for {self.sources} sources in azimuths from {low:g}° to {high:g}°"
+                problems.append(("min_separation_deg", f"{text}, got {self.min_separation_deg:g}°"))
         if problems:
             raise OptionError(type(self).__name__, problems)
 
@@ -112,8 +117,6 @@ class NearField(Scenario):
         if self.fading == "snapshot":
             sizes[f"snapshots × elements × sources = {T:,} × {M:,} × {K:,}"] = ("snapshots", T * M * K)
             sizes[f"the gains of the scattered waves in {T:,} snapshots"] = ("snapshots", T * waves // M)
-        if self.min_separation_deg:
-            sizes[f"{_BATCH:,} placements of {K:,} sources 2 by 2"] = ("sources", _BATCH * K * (K - 1) // 2 * 3)
         text, (name, size) = max(sizes.items(), key=lambda item: item[1][1])
         if size <= MAX_NUMBERS:
             return []
@@ -191,8 +194,10 @@ class NearField(Scenario):
     def draw(self, rng: np.random.Generator) -> NearFieldInstance:
         """Draw positions, fading, symbols and noise, each from its own child of ``rng``, spawned in this order.
 
-        The same seed therefore gives the same positions, symbols and noise at every SNR, Rician factor and wavefront.
-        Raises ValueError if no placement is found whose sources are ``min_separation_deg`` apart.
+        Each source has its own generators for its position, scattered waves and symbols, and each element one for its
+        noise. The same seed therefore gives the same scene at every SNR, Rician factor, array and wavefront: K sources
+        are the first K of K + 1, M elements have the noise of the first M of M + 1, and T snapshots are the first T of
+        T + 1. Raises ValueError if no placement is found whose sources are ``min_separation_deg`` apart.
         """
         kernels.warm_up()  # so that no measured time includes the compilation
         for_positions, for_fading, for_symbols, for_noise = rng.spawn(4)
@@ -203,8 +208,8 @@ class NearField(Scenario):
         G = self.nlos.draw(for_fading, draws, manifold, theta, lower, upper)
         H = rician(manifold.response(theta).T, G, self.rician_k)
         snr = 10.0 ** (np.broadcast_to(self.snr_db, self.sources) / 10)
-        symbols = np.sqrt(snr)[:, None] * complex_normal(for_symbols, (self.sources, self.snapshots))
-        N = complex_normal(for_noise, (manifold.elements, self.snapshots))
+        symbols = np.sqrt(snr)[:, None] * _rows(for_symbols, self.sources, self.snapshots)
+        N = _rows(for_noise, manifold.elements, self.snapshots)
         Y = np.einsum("tmk,kt->mt", np.broadcast_to(H, (self.snapshots, *H.shape[1:])), symbols) + N
         return NearFieldInstance(Y, theta, manifold, lower, upper, H, symbols, snr, self.rician_k, self.gospa_cutoff_m)
 
@@ -215,24 +220,11 @@ class NearField(Scenario):
         return lower, upper
 
     def _place_sources(self, rng: np.random.Generator, lower: ndarray, upper: ndarray) -> Float[ndarray, "k d"]:
-        """Draw uniform positions in the box; all of them are redrawn until every pair is far enough apart."""
+        """Return the fixed positions, or draw them."""
         if self.positions is not None:
             degrees = np.array(self.positions)
             return np.hstack([np.radians(degrees[:, :-1]), degrees[:, -1:]])
-        if not self.min_separation_deg:
-            return rng.uniform(lower, upper, (self.sources, len(lower)))
-        chord = 2 * math.sin(math.radians(self.min_separation_deg) / 2)  # smallest distance of two unit vectors
-        first, second = np.triu_indices(self.sources, k=1)
-        for _ in range(_BATCHES):
-            theta = rng.uniform(lower, upper, (_BATCH, self.sources, len(lower)))
-            u = directions(theta)
-            apart = (np.linalg.norm(u[:, first] - u[:, second], axis=-1) >= chord).all(axis=-1)
-            if apart.any():
-                return np.asarray(theta[np.argmax(apart)])
-        raise ValueError(
-            f"min_separation_deg: expected a placement of {self.sources} sources {self.min_separation_deg:g}° apart, "
-            f"got none in {_BATCH * _BATCHES} attempts; widen the box, or reduce min_separation_deg or sources"
-        )
+        return place_sources(rng, lower, upper, self.sources, math.radians(self.min_separation_deg))
 
     def _misplaced(self, positions: tuple[tuple[float, ...], ...]) -> list[tuple[str, str]]:
         """Return the errors in fixed positions as (path, message) pairs."""
@@ -251,6 +243,11 @@ class NearField(Scenario):
                 if not low <= value <= high:
                     problems.append((f"positions[{k}]", f"expected {name} within [{low:g}, {high:g}], got {value:g}"))
         return problems
+
+
+def _rows(rng: np.random.Generator, count: int, length: int) -> Complex[ndarray, "count length"]:
+    """Draw circular complex Gaussian rows of unit variance, each from its own child of ``rng``."""
+    return np.stack([complex_normal(own, (length,)) for own in rng.spawn(count)])
 
 
 def _interval(

@@ -324,3 +324,150 @@ def test_a_thread_that_outlives_the_run_cannot_go_on_evaluating():
     threads[0].join(10)
     assert not threads[0].is_alive() and found.status is Status.OK
     assert problem.count <= found.evaluations + 1
+
+
+class Clock:
+    """A clock that moves only when it is told to."""
+
+    def __init__(self, monkeypatch):
+        self.now = 0.0
+        monkeypatch.setattr("nfbench.core.meter.time.perf_counter", lambda: self.now)
+
+
+class Timed(Counted):
+    """A problem whose evaluations take ``cost`` seconds each on a clock."""
+
+    def __init__(self, clock, cost, n=2):
+        super().__init__(n=n)
+        self.clock, self.cost = clock, cost
+
+    def evaluate(self, X):
+        self.clock.now += self.cost * len(X)
+        return super().evaluate(X)
+
+
+def tolerated(seconds):
+    """The latest end of a run, 10 % + 1 ms after its deadline."""
+    return 1.1 * seconds + 0.001
+
+
+@pytest.mark.parametrize("seconds", [0.005, 0.1, 1.0])
+@pytest.mark.parametrize("cost", [1e-7, 1e-5, 3e-4])
+@pytest.mark.parametrize("size", [1, 256, 20_000])
+def test_a_batch_ends_at_the_deadline_and_counts_only_what_was_evaluated(monkeypatch, seconds, cost, size):
+    problem = Timed(clock := Clock(monkeypatch), cost)
+    meter = MeteredProblem(problem, Budget(seconds=seconds))
+    X = np.zeros((size, 2))
+    with contextlib.suppress(BudgetExhausted):
+        for _ in range(500):
+            assert len(meter.evaluate(X)) == size
+    assert clock.now <= tolerated(seconds)
+    if cost * size * 500 > 1.1 * seconds:  # the time limit ended the run, and not early
+        assert clock.now >= seconds - cost
+        assert meter.spent
+        with pytest.raises(BudgetExhausted):
+            meter.evaluate(X)
+    assert problem.count == meter.evaluations
+
+
+def test_a_batch_in_parts_has_the_same_values_and_trace(monkeypatch):
+    X = np.random.default_rng(3).uniform(-1, 1, (400, 2))
+    whole = MeteredProblem(Counted(), Budget(evaluations=400))
+    parts = MeteredProblem(problem := Timed(Clock(monkeypatch), 1e-5), Budget(seconds=0.005))
+    sizes, evaluate = [], problem.evaluate
+    problem.evaluate = lambda X: sizes.append(len(X)) or evaluate(X)
+    np.testing.assert_array_equal(whole.evaluate(X), parts.evaluate(X))
+    assert len(sizes) > 2 and sum(sizes) == 400
+    for name in ("evaluations", "values", "points"):
+        np.testing.assert_array_equal(getattr(whole.trace, name), getattr(parts.trace, name))
+
+
+@pytest.mark.parametrize("limit", [1, 2, 3, 399])
+def test_parts_keep_the_limit_on_evaluations(monkeypatch, limit):
+    problem = Timed(Clock(monkeypatch), 1e-4)
+    meter = MeteredProblem(problem, Budget(evaluations=limit, seconds=0.05))
+    with pytest.raises(BudgetExhausted):
+        meter.evaluate(np.zeros((400, 2)))
+    assert problem.count == meter.evaluations == limit
+
+
+def test_the_target_never_ends_a_batch_in_its_middle_so_that_the_clock_does_not_decide(monkeypatch):
+    problem = Timed(Clock(monkeypatch), 1e-5)
+    meter = MeteredProblem(problem, Budget(seconds=0.01, target=0.5))
+    meter.evaluate(np.zeros((300, 2)))
+    assert problem.count == 300 and meter.reached
+    with pytest.raises(BudgetExhausted):
+        meter.evaluate(np.zeros((1, 2)))
+
+
+@pytest.mark.parametrize("single", [True, False])
+def test_a_solver_whose_next_call_would_come_too_late_is_stopped_now(monkeypatch, single):
+    meter = MeteredProblem(Timed(clock := Clock(monkeypatch), 1e-6), Budget(seconds=0.1))
+    with pytest.raises(BudgetExhausted):
+        for _ in range(100):
+            meter(np.zeros(2)) if single else meter.evaluate(np.zeros((5, 2)))
+            clock.now += 0.03
+    assert 0.09 < clock.now < 0.1  # after 0.09 s, the next call would come at 0.12 s
+    assert meter.spent and meter.remaining_s == 0.0
+
+
+def test_the_time_before_the_first_call_says_nothing_about_later_steps(monkeypatch):
+    meter = MeteredProblem(Timed(clock := Clock(monkeypatch), 1e-3), Budget(seconds=0.1))
+    clock.now += 0.08
+    with pytest.raises(BudgetExhausted):
+        for _ in range(100):
+            meter(np.zeros(2))
+    assert meter.evaluations == 20
+
+
+@pytest.mark.parametrize("batch", [1, 4])
+def test_a_predicate_decides_at_improvements_only_and_stops_the_run(batch):
+    values, seen = [5.0, 7.0, 4.0, 4.0, 3.0, 9.0, 2.0, 1.0], []
+
+    def reached(x, value):
+        seen.append(value)
+        return value <= 3.0
+
+    problem = Counted(values)
+    meter = MeteredProblem(problem, Budget(evaluations=8), reached)
+    with pytest.raises(BudgetExhausted):
+        for _ in range(8):
+            meter(np.zeros(2)) if batch == 1 else meter.evaluate(np.zeros((batch, 2)))
+    assert meter.reached and meter.spent
+    assert (seen, problem.count) == (([5.0, 4.0, 3.0], 5) if batch == 1 else ([4.0, 1.0], 8))
+
+
+def test_the_predicate_holds_for_the_best_point_at_the_end():
+    meter = MeteredProblem(Counted([2.0, 1.0]), Budget(evaluations=8), lambda x, value: value > 1.5)
+    meter.evaluate(np.zeros((2, 2)))  # the second point is better, and the predicate is false there
+    assert (meter.best_value, meter.reached) == (1.0, False)
+
+
+def test_a_first_population_consists_of_the_best_points_of_the_start_and_random_points():
+    rng = np.random.default_rng(0)
+    start = np.array([[0.5, 0.0], [0.1, 0.0], [0.9, 0.0], [0.2, 0.0]])
+    _, meter = metered()
+    meter.begin(start)
+    assert meter.evaluations == 4 and meter.start_values.tolist() == (start**2).sum(axis=1).tolist()
+    x, f = meter.first_population(3, rng)
+    assert x.tolist() == start[[0, 1, 3]].tolist() and f.tolist() == (x**2).sum(axis=1).tolist()
+    assert meter.evaluations == 4  # nothing is evaluated twice
+    x, f = meter.first_population(6, rng)
+    assert x[:4].tolist() == start.tolist() and f.tolist() == (x**2).sum(axis=1).tolist()
+    assert meter.evaluations == 6
+    np.testing.assert_allclose(meter.from_unit(meter.first_point(rng)), start[1], atol=1e-15)
+
+
+def test_without_a_start_the_first_population_is_uniform_in_the_box():
+    _, meter = metered()
+    x, f = meter.first_population(5, np.random.default_rng(1))
+    np.testing.assert_array_equal(x, meter.from_unit(np.random.default_rng(1).random((5, 2))))
+    assert f.tolist() == (x**2).sum(axis=1).tolist()
+    assert meter.first_point(np.random.default_rng(2)).tolist() == np.random.default_rng(2).random(2).tolist()
+
+
+def test_a_part_has_no_start_and_no_target_of_its_own():
+    _, meter = metered(evaluations=20, target=-1.0)
+    meter.begin(np.zeros((2, 2)))
+    part = meter.part(evaluations=5)
+    assert part.start is None and not part.reached and part.minimum is None

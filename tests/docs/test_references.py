@@ -12,6 +12,7 @@ import pytest
 from conftest import PROJECT
 
 import nfbench
+import nfbench.analysis
 import nfbench.figures
 import nfbench.testing
 from nfbench.results import export_csv
@@ -57,18 +58,35 @@ def test_descriptions_are_read_from_docstrings(text, names, expected):
     assert all(value[0] == expected[name][0] for name, value in found.items() if name != "b")
 
 
+def test_a_list_in_a_docstring_stays_a_list():
+    found = docstrings.described("Prose.\n\na: one.\n\n* ``a``: first\n  item\n* second item", ["a"])
+    assert found.prose == ("Prose.", "* ``a``: first\n  item\n* second item") and found.texts == {"a": "One."}
+
+
 def test_units_come_from_names_and_brackets():
     keys = {key.name: key.unit for key in option_tables.keys(CLASSES["scenario near-field"])}
     assert keys["wavelength_m"] == "m" and keys["snr_db"] == "dB" and keys["azimuth_deg"] == "°" and not keys["sources"]
     limits = {key.name: key.unit for key in option_tables.keys(CLASSES["Limits"])}
+    assert limits.pop("start") == ""
     assert limits == {"evaluations": "", "seconds": "s", "target": "", "run_timeout_s": "s", "run_memory_mb": "MiB"}
+
+
+def test_types_and_defaults_are_in_the_words_of_a_manifest():
+    limits = {key.name: key for key in option_tables.keys(CLASSES["Limits"])}
+    assert limits["target"].type == "number or table" and limits["evaluations"].text.endswith("default: no limit.")
+    assert limits["run_timeout_s"].text.endswith("leave it out, or give more than 10^9, for no limit.")
+    claims = {key.name: key.type for key in option_tables.keys(CLASSES["Compare"])}
+    assert claims["better"] == "text or list of text"
+    assert claims["start"] == "boolean or integer or number or text or list"
+    for title, cls in CLASSES.items():
+        assert not [key for key in option_tables.keys(cls) if "typing" in key.type or "None" in key.text], title
 
 
 # columns
 
 STUDY = """
 name = "columns"
-repetitions = 1
+scenes = 1
 seed = 1
 [scenario]
 kind = "near-field"
@@ -88,19 +106,28 @@ kind = "neef"
 kind = "random-search"
 [budget]
 evaluations = 50
+[[claim]]
+text = "The error falls as the line of sight fades"
+compare = { falls = "neef + random-search", key = "scenario.rician_k" }
 """
 FUNCTIONS = """
 name = "columns"
-repetitions = 1
+scenes = 1
+runs_per_scene = 2
 seed = 1
 [scenario]
 kind = "functions"
+[sweep]
+"budget.evaluations" = [40, 50]
 [[formulation]]
 kind = "direct"
 [[solver]]
-kind = "random-search"
+kind = "multistart-lbfgsb"
 [budget]
-evaluations = 50
+target = { gap = 1e-3 }
+[[claim]]
+text = "The solver fails rarely"
+compare = { fails = "direct + multistart-lbfgsb", at_most = 0.1 }
 """
 
 
@@ -110,7 +137,8 @@ def test_every_column_that_a_study_writes_is_described(text, tmp_path):
     results = nfbench.run(nfbench.load_study(tmp_path / "study.toml"), out=tmp_path / "out", jobs=0)
     assert set(results.counts) == {"ok"}
     export_csv(results)
-    produced = {name: list(pd.read_csv(tmp_path / "out" / f"{name}.csv")) for name in ("runs", "summary", "traces")}
+    tables = ("runs", "summary", "targets", "ranking", "claims", "traces")
+    produced = {name: list(pd.read_csv(tmp_path / "out" / f"{name}.csv")) for name in tables}
     produced["environment"] = list(json.loads((tmp_path / "out" / "environment.json").read_text(encoding="utf-8")))
     missing = [
         f"{file}: {column}"
@@ -138,9 +166,13 @@ def test_the_trials_of_a_tuning_are_described():
 # public names
 
 
-@pytest.mark.parametrize("module", [nfbench, nfbench.testing, nfbench.figures], ids=lambda module: module.__name__)
-def test_every_public_name_has_an_entry(module):
-    page = (DOCS / "reference" / "api.rst").read_text(encoding="utf-8")
+@pytest.mark.parametrize(
+    ("module", "page"),
+    [(nfbench, "api"), (nfbench.testing, "api"), (nfbench.figures, "api"), (nfbench.analysis, "api-analysis")],
+    ids=lambda part: getattr(part, "__name__", ""),
+)
+def test_every_public_name_has_an_entry(module, page):
+    page = (DOCS / "reference" / f"{page}.rst").read_text(encoding="utf-8")
     entries = set(re.findall(r"^\.\. (?:auto\w+|py:\w+):: (\w+)", page, flags=re.MULTILINE))
     assert set(module.__all__) <= entries
 

@@ -27,7 +27,7 @@ def test_every_run_is_a_row_with_the_public_columns(manifest, tmp_path):
     results = run(manifest(SWEPT), tmp_path / "out")
     runs = pd.read_csv(tmp_path / "out" / "runs.csv")
     assert list(runs.columns) == [
-        *("run_id", "study", "scenario", "formulation", "solver", "repetition", "scenario.dimension"),
+        *("run_id", "study", "scenario", "formulation", "solver", "repetition", "scene", "run", "scenario.dimension"),
         *("status", "message", "rmse_m", "objective", "evaluations", "runtime_s", "cpu_s"),
         *("instance_seed", "solver_seed", "method", "error_1_m"),
     ]

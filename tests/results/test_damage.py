@@ -24,6 +24,7 @@ from nfbench import StoreError, load_study
 from nfbench.results import Store, merge
 from nfbench.results.damage import Damaged
 
+FLIPS = 1000
 STUDY = """
 [[formulation]]
 kind = "once"
@@ -109,12 +110,13 @@ def test_every_command_ends_well_in_a_damaged_folder(kind, made, damaged, tmp_pa
 @pytest.mark.parametrize("part", range(10))
 def test_every_command_ends_well_after_a_flipped_bit(part, made, damaged, tmp_path, monkeypatch, capfd):
     rng = np.random.default_rng(2026 + part)
-    for number in range(30):
+    for number in range(FLIPS // 10):
         folder = damaged(lambda folder: flip(folder / "runs.sqlite", rng))
         out = tmp_path / f"out{number}"
         for name in ("status", "report", "ioh", "csv", "compare", "merge"):
             check(*command(monkeypatch, capfd, *commands(folder, made, out)[name]), folder)
         shutil.rmtree(folder)
+        shutil.rmtree(out, ignore_errors=True)
 
 
 SAID = {  # kind of damage → what the report says

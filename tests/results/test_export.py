@@ -1,4 +1,4 @@
-"""Exports match the traces they are made from, and the files that IOHprofiler itself writes."""
+"""Exports for IOHprofiler and as CSV match the traces they are made from, and the files that ioh itself writes."""
 
 import json
 import sys
@@ -18,7 +18,8 @@ from nfbench.core.meter import MeteredProblem
 from nfbench.core.problem import Problem
 from nfbench.core.status import Status
 from nfbench.core.trace import Trace
-from nfbench.results.export import export_csv, export_ioh
+from nfbench.results.export_as_csv import export_csv
+from nfbench.results.export_as_ioh import export_ioh
 from nfbench.results.store import Store
 from nfbench.study.records import RunRecord
 
@@ -82,7 +83,7 @@ def read_ioh(folder):
                 evaluations, value = line.split(" ")
                 if evaluations == "1":
                     run = next(runs)
-                where = {"repetition": run["instance"], "dimension": scenario["dimension"]}
+                where = {"instance": run["instance"], "dimension": scenario["dimension"]}
                 rows.append(about | where | {"evaluations": int(evaluations), "value": float(value), "best": run})
             assert next(runs, None) is None
     return pd.DataFrame(rows)
@@ -90,34 +91,31 @@ def read_ioh(folder):
 
 def test_the_files_have_the_structure_of_those_of_ioh(manifest, tmp_path):
     # the structure of examples/SO_Data/HC in github.com/IOHprofiler/IOHinspector
-    first = trace((1, 3.5, 0.25), (4, 1e-12, -0.5), (9, 1e-12, -0.5))
+    first = trace((1, 3.5, 0.25), (4, 1.25, -0.5), (9, 1.25, -0.5))
     second = trace((1, -2.0, 1.0))
     results = written(manifest, tmp_path / "out", [(Status.OK, (first,)), (Status.OK, (second,))], repetitions=2)
     text = str(export_ioh(results))
     assert text == f"{tmp_path}/out/export-ioh: 2 of 2 runs"
     folder = tmp_path / "out" / "export-ioh" / "once_+_sampler"
-    data = folder / "data_f1_once_problem_0" / "IOHprofiler_f1_DIM1.dat"
-    assert data.read_text() == "evaluations raw_y\n1 3.5\n4 1e-12\n9 1e-12\nevaluations raw_y\n1 -2.0\n"
-    assert {path for path in folder.glob("**/*") if path.is_file()} == {
-        data,
-        folder / "IOHprofiler_f1_once_problem_0.json",
-    }
-    assert json.loads((folder / "IOHprofiler_f1_once_problem_0.json").read_text()) == {
+    data = folder / "data_f1_once" / "IOHprofiler_f1_DIM1.dat"
+    assert data.read_text() == "evaluations raw_y\n1 2.25\n4 0.0\n9 0.0\nevaluations raw_y\n1 0.0\n"
+    assert {path for path in folder.glob("**/*") if path.is_file()} == {data, folder / "IOHprofiler_f1_once.json"}
+    assert json.loads((folder / "IOHprofiler_f1_once.json").read_text()) == {
         "version": "0.3.22",
         "suite": "nfbench toy",
         "function_id": 1,
-        "function_name": "once problem 0",
+        "function_name": "once",
         "maximization": False,
         "algorithm": {"name": "once + sampler", "info": "formulation once, solver sampler"},
-        "experiment_attributes": [{"formulation": "once"}, {"solver": "sampler"}, {"problem": "0"}],
+        "experiment_attributes": [{"formulation": "once"}, {"solver": "sampler"}],
         "attributes": ["evaluations", "raw_y"],
         "scenarios": [
             {
                 "dimension": 1,
-                "path": "data_f1_once_problem_0/IOHprofiler_f1_DIM1.dat",
+                "path": "data_f1_once/IOHprofiler_f1_DIM1.dat",
                 "runs": [
-                    {"instance": 0, "evals": 9, "best": {"evals": 4, "y": 1e-12, "x": [-0.5]}},
-                    {"instance": 1, "evals": 1, "best": {"evals": 1, "y": -2.0, "x": [1.0]}},
+                    {"instance": 1, "evals": 9, "best": {"evals": 4, "y": 0.0, "x": [-0.5]}},
+                    {"instance": 2, "evals": 1, "best": {"evals": 1, "y": 0.0, "x": [1.0]}},
                 ],
             }
         ],
@@ -155,51 +153,93 @@ def test_iohs_own_logger_writes_the_same_for_the_same_evaluations(manifest, tmp_
     assert list(scenario) == list(their_scenario) and scenario["dimension"] == their_scenario["dimension"] == 2
     assert list(ours["algorithm"]) == list(their["algorithm"]) and ours["attributes"] == their["attributes"]
     for run, their_run in zip(scenario["runs"], their_scenario["runs"], strict=True):
-        assert run["best"] == their_run["best"] and run["evals"] == their_run["evals"] == 30
-        assert list(run) == list(their_run)
+        assert run["best"] == their_run["best"] | {"y": 0.0} and run["evals"] == their_run["evals"] == 30
+        assert list(run) == list(their_run) and list(run["best"]) == list(their_run["best"])
     lines = (path.parent / scenario["path"]).read_text().split("\n")
     their_lines = (their_path.parent / their_scenario["path"]).read_text().split("\n")
     assert path.parent.parent.parent == their_path.parent.parent == tmp_path
-    assert lines[0] == their_lines[0] and len(lines) == len(their_lines)
-    for line, their_line in zip(lines, their_lines, strict=True):
+    assert lines[0] == their_lines[0] and len(lines) == len(their_lines) and lines[-1] == their_lines[-1] == ""
+    optima = iter(run["best"]["y"] for run in their_scenario["runs"])  # of each scene, as there is one method
+    for line, their_line in zip(lines[:-1], their_lines[:-1], strict=True):
         assert line.split(" ")[0] == their_line.split(" ")[0]
-        if (
-            not line.startswith(("30 ", "e")) and line
-        ):  # ioh writes the last evaluation's own value, we write the best so far
-            assert float(line.split(" ")[1]) == pytest.approx(float(their_line.split(" ")[1]), abs=1e-10)
+        if line.startswith("e"):
+            optimum = next(optima)
+        elif not line.startswith("30 "):  # ioh writes the last evaluation's own value, we write the best so far
+            value = float(their_line.split(" ")[1]) - optimum
+            assert float(line.split(" ")[1]) == pytest.approx(value, abs=1e-10)
 
 
-def test_every_problem_of_every_ok_run_is_exported_and_other_runs_are_counted(several):
+def test_every_run_of_a_solver_is_exported_with_the_gap_of_its_first_problem(several):
     text = str(export_ioh(several))
-    assert text.endswith("export-ioh: 16 of 40 runs; left out: 16 failed, 4 skipped, 4 without a trace")
+    assert text.endswith("export-ioh: 32 of 40 runs, of which 16 are not ok; left out: 4 skipped, 4 without a trace")
     found = read_ioh(several.folder / "export-ioh")
-    runs = several.runs.set_index("run_id").drop(columns="evaluations")
-    traces = several.traces.join(runs, on="run_id").query("status == 'ok'")
-    keys = ["method", "scenario.dimension", "scenario.noise", "problem", "repetition", "evaluations"]
-    for key in ("scenario.dimension", "problem"):
-        found[key] = found[key].astype(int)
-    found["scenario.noise"] = found["scenario.noise"].astype(float)
-    assert (found["dimension"] == found["scenario.dimension"]).all()
-    ours, theirs = (frame.sort_values(keys)[[*keys, "value"]].reset_index(drop=True) for frame in (found, traces))
-    pd.testing.assert_frame_equal(ours, theirs, check_dtype=False, rtol=0, atol=0)
-    best = traces.groupby(["method", "scenario.dimension", "scenario.noise", "problem", "repetition"])["value"].min()
-    assert sorted(run["best"]["y"] for run in found["best"].drop_duplicates()) == sorted(best)
-    what = found.groupby("function")[["formulation", "scenario.dimension", "scenario.noise", "problem"]].nunique()
-    assert len(what) == 12 and (what == 1).all(axis=None)  # 4 scenario points, with one problem and with two
+    assert (found["dimension"] == found["scenario.dimension"].astype(int)).all()
+    found = found.assign(**{name: found[name].astype(float) for name in ("scenario.dimension", "scenario.noise")})
+    traces = several.traces.join(several.runs.set_index("run_id").drop(columns="evaluations"), on="run_id")
+    traces = traces.query("status == 'ok' and problem == 0").assign(instance=traces["scene"] + 1)
+    problem = ["formulation", "scenario.dimension", "scenario.noise", "scene"]
+    assert "optimum" not in traces and traces.groupby(problem)["method"].nunique().max() == 1
+    traces["gap"] = traces["value"] - traces.groupby(problem)["value"].transform("min")
+    keys = ["method", "scenario.dimension", "scenario.noise", "instance", "evaluations"]
+    hits = found[~found["method"].str.contains("raises")]
+    ours = hits.sort_values(keys)[[*keys, "value"]].reset_index(drop=True)
+    theirs = traces.sort_values(keys)[[*keys, "gap"]].rename(columns={"gap": "value"}).reset_index(drop=True)
+    pd.testing.assert_frame_equal(ours, theirs, check_dtype=False, rtol=0, atol=1e-15)
+    assert {run["best"]["y"] for run in hits["best"]} == {0.0}
+    what = found.groupby("function")[["formulation", "scenario.dimension", "scenario.noise"]].nunique()
+    assert len(what) == 8 and (what == 1).all(axis=None)  # 4 scenario points, two formulations
 
 
-def test_runs_that_the_format_cannot_represent_are_left_out_and_counted(manifest, tmp_path):
+def test_gaps_are_measured_from_the_best_value_that_any_run_has_found_for_the_problem(manifest, tmp_path):
+    methods = "[[formulation]]\nkind = 'once'\n" + "".join(
+        f"[[solver]]\nkind = 'sampler'\nbatch = {i}\n" for i in (1, 2)
+    )
+    rows = [((1, 5.0, 0.0), (3, 2.0, 0.1)), ((1, -1.0, 0.0),), ((1, 4.0, 0.0), (2, 1.5, 0.1)), ((1, -1.0, 0.0),)]
+    extra = methods + "[budget]\nevaluations = 10\n"
+    results = written(
+        manifest, tmp_path / "out", [(Status.OK, (trace(*row),)) for row in rows], extra=extra, repetitions=2
+    )
+    expected = {}
+    for (_, run), row in zip(results.runs.iterrows(), rows, strict=True):
+        same = [
+            other[-1][1] for (_, o), other in zip(results.runs.iterrows(), rows, strict=True) if o.scene == run.scene
+        ]
+        expected[run.method, run.scene + 1] = [value - min(same) for _, value, _ in row]
+    assert sorted(map(tuple, expected.values())) != [(0.0,)] * 4
+    export_ioh(results)
+    found = read_ioh(tmp_path / "out" / "export-ioh")
+    assert {key: group.value.tolist() for key, group in found.groupby(["method", "instance"])} == expected
+
+
+def test_runs_that_are_not_ok_have_spent_their_evaluations_and_reached_nothing(manifest, tmp_path):
     fine, late = trace((1, 2.0, 0.0), (5, 1.0, 0.5)), trace((1, np.inf, 0.0), (3, 1.0, 0.5))
-    records = [(Status.OK, (fine,)), (Status.OK, (fine, late)), (Status.TIMEOUT, (fine,)), (Status.OK, ())]
-    results = written(manifest, tmp_path / "out", records, repetitions=7)
+    records = [(Status.OK, (fine,)), (Status.OK, (late, fine)), (Status.TIMEOUT, (fine,)), (Status.FAILED, ())]
+    results = written(manifest, tmp_path / "out", [*records, (Status.OK, ())], repetitions=8)
     text = str(export_ioh(results)).partition(": ")[2]
-    assert text == "1 of 7 runs; left out: 1 with a non-finite first value, 1 timeout, 1 without a trace, 3 open"
-    assert read_ioh(tmp_path / "out" / "export-ioh").value.tolist() == [2.0, 1.0]
+    assert text == "4 of 8 runs, of which 2 are not ok; left out: 1 without a trace, 3 open"
+    found = read_ioh(tmp_path / "out" / "export-ioh")
+    assert found.groupby("instance").value.apply(list).tolist()[:2] == [[1.0, 0.0], [3e21, 0.0]]
+    misses = found[found.instance > 2]
+    assert (misses.value >= 3e21).all() and misses.instance.unique().tolist() == [3, 4]
+    assert misses.groupby("instance").evaluations.max().tolist() == [40, 1]  # a killed run may have spent its budget
     text = str(export_csv(results)).partition(": ")[2]
-    assert text == "3 of 7 runs; left out: 1 without a trace, 3 open"
+    assert text == "3 of 8 runs; left out: 1 failed, 1 without a trace, 3 open"
     table = pd.read_csv(tmp_path / "out" / "traces.csv")
-    assert table.value.tolist() == [2.0, 1.0, 2.0, 1.0, np.inf, 1.0, 2.0, 1.0]
+    assert table.value.tolist() == [2.0, 1.0, np.inf, 1.0, 2.0, 1.0, 2.0, 1.0]
     assert table.status.tolist() == ["ok"] * 6 + ["timeout"] * 2
+    np.testing.assert_array_equal(table.gap, [1.0, 0.0, np.inf, 0.0, *[np.nan] * 4])
+
+
+def test_a_swept_budget_is_part_of_the_algorithm_because_it_changes_no_problem(manifest, tmp_path):
+    extra = BASIC.replace("[budget]\nevaluations = 40\n", "") + '[sweep]\n"budget.evaluations" = [5, 9]\n'
+    results = nfbench.run(load_study(manifest(extra, repetitions=2)), out=tmp_path / "out", jobs=0)
+    export_ioh(results)
+    found = read_ioh(tmp_path / "out" / "export-ioh")
+    assert found.function.unique().tolist() == [1]
+    labels = {f"once + sampler, budget.evaluations = {n}": n for n in (5, 9)}
+    assert found.groupby("method").evaluations.max().to_dict() == labels
+    best = found.groupby("instance").value.min()
+    assert (best == 0.0).all()
 
 
 def test_labels_that_differ_only_in_invalid_file_name_characters_stay_distinct(manifest, tmp_path):
@@ -223,9 +263,22 @@ def test_the_table_has_the_traces_with_the_keys_of_their_runs(several, monkeypat
     whole = (several.folder / "traces.csv").read_bytes()
     table = pd.read_csv(several.folder / "traces.csv")
     added = ["method", "repetition", "scenario.dimension", "scenario.noise", "status"]
-    assert list(table) == ["run_id", *added[:-1], "status", "problem", "evaluations", "seconds", "value", "x_0", "x_1"]
+    assert list(table) == [
+        "run_id",
+        *added[:-1],
+        "status",
+        "problem",
+        "evaluations",
+        "seconds",
+        "value",
+        "gap",
+        "x_0",
+        "x_1",
+    ]
     assert {line.count(b",") for line in whole.splitlines()} == {len(table.columns) - 1}  # not ragged
-    pd.testing.assert_frame_equal(table.drop(columns=added), several.traces, check_dtype=False, rtol=0, atol=0)
+    pd.testing.assert_frame_equal(
+        table.drop(columns=[*added, "gap"]), several.traces, check_dtype=False, rtol=0, atol=0
+    )
     runs = several.runs.set_index("run_id")[added]
     pd.testing.assert_frame_equal(table[added], runs.loc[table.run_id].reset_index(drop=True), check_dtype=False)
     monkeypatch.setattr(nfbench.results.store, "_PAGE", 3)
@@ -302,10 +355,10 @@ def test_the_command_prints_what_it_wrote(several, monkeypatch, capsys):
         return ended.value.code, *capsys.readouterr()
 
     out = several.folder.parent / "x" / "y"
-    text = f"{out}: 16 of 40 runs; left out: 16 failed, 4 skipped, 4 without a trace\n"
+    text = f"{out}: 32 of 40 runs, of which 16 are not ok; left out: 4 skipped, 4 without a trace\n"
     assert nfbench_export("--to", "ioh", "--out", str(out)) == (0, text, "")
-    assert len(list(out.glob("*/*.json"))) == 12
+    assert len(list(out.glob("*/*.json"))) == 16
     code, _, errors = nfbench_export("--to", "ioh", "--out", str(out))
     assert code == 2 and "y already exists; remove it, or choose another path with --out" in errors
-    code, _, errors = nfbench_export("--to", "coco")
-    assert code == 2 and all(name in errors for name in ("'coco'", "'ioh'", "'csv'"))
+    code, _, errors = nfbench_export("--to", "arff")
+    assert code == 2 and all(name in errors for name in ("'arff'", "'ioh'", "'coco'", "'csv'", "'parquet'"))

@@ -86,7 +86,8 @@ def test_what_a_killed_study_leaves_is_gone_after_the_next(manifest, tmp_path):
     (tmp_path / "out" / f".runs.csv.{process.pid}").write_text("half a table")
     nfbench.run(load_study(manifest(BASIC)), out=tmp_path / "out", jobs=0)
     assert {path.name for path in (tmp_path / "out").iterdir()} == {
-        "runs.sqlite", "runs.csv", "summary.csv", "manifest.toml", "environment.json", "study.log"
+        "runs.sqlite", "runs.csv", "summary.csv", "targets.csv", "ranking.csv", "hits.npz", "manifest.toml",
+        "environment.json", "study.log",
     }  # fmt: skip
 
 

@@ -87,12 +87,13 @@ def test_compare_counts_equal_runs_and_shows_the_others(manifest, tmp_path):
     assert compare(tmp_path / "a", tmp_path / "b").only_first == 1
 
 
-def test_compare_notices_an_error_outside_its_interval(manifest, tmp_path):
+def test_compare_notices_a_significant_change_of_an_error(manifest, tmp_path):
     one = run(manifest(BASIC, repetitions=8), tmp_path / "a")
     other = run(manifest(BASIC.replace("= 40", "= 4000"), repetitions=8), tmp_path / "b")
     found = compare(tmp_path / "a", tmp_path / "b")
-    assert found.matters and list(found.methods.outside) == [True]
-    assert found.methods.rmse_m_first[0] == one.summary().rmse_m[0] > other.summary().rmse_m[0]
+    assert found.matters and list(found.methods.changed) == [True]
+    assert found.methods.rmse_m_first[0] == one.summary().median_m[0] > other.summary().median_m[0]
+    assert found.methods.p[0] == 2 ** (1 - 8) and found.methods.high[0] < 1
 
 
 def test_two_of_three_shards_leave_the_runs_of_the_third_open(manifest, tmp_path, monkeypatch, capfd):
@@ -197,7 +198,7 @@ def test_compare_notes_another_manifest_and_other_scenes(manifest, tmp_path):
 
 
 def test_compare_says_when_it_cannot_judge(manifest, tmp_path, monkeypatch, capfd):
-    run(manifest(BASIC, repetitions=5), tmp_path / "a")  # too few for an interval
+    run(manifest(BASIC, repetitions=5), tmp_path / "a")  # too few for a test
     shutil.copytree(tmp_path / "a", tmp_path / "b")
     code, text = command(monkeypatch, capfd, "compare", tmp_path / "a", tmp_path / "b")
     assert code == 0 and "The folders agree." in text
@@ -207,7 +208,7 @@ def test_compare_says_when_it_cannot_judge(manifest, tmp_path, monkeypatch, capf
     change(tmp_path / "b", """UPDATE results SET scores = '{"rmse_m": "0.5"}'""")
     code, text = command(monkeypatch, capfd, "compare", tmp_path / "a", tmp_path / "b")
     assert code == 1 and "does not matter" not in text
-    assert "cannot be judged: there is no 95\xa0% interval, which needs at least 6 successful runs, for once + " in text
+    assert "cannot be judged: at least 6 scenes are needed, and there are fewer for once + " in text
     change(tmp_path / "b", "DELETE FROM results")
     change(tmp_path / "a", "DELETE FROM results")
     code, text = command(monkeypatch, capfd, "compare", tmp_path / "a", tmp_path / "b")

@@ -23,7 +23,8 @@ def folder(manifest, tmp_path):
 
 def test_a_closed_folder_is_one_database_file(folder):
     assert {path.name for path in folder.iterdir()} - {".lock"} == {
-        "runs.sqlite", "runs.csv", "summary.csv", "manifest.toml", "environment.json", "study.log"
+        "runs.sqlite", "runs.csv", "summary.csv", "targets.csv", "ranking.csv", "hits.npz", "manifest.toml",
+        "environment.json", "study.log",
     }  # fmt: skip
 
 

@@ -36,10 +36,10 @@ def load(tmp_path_factory):
 @pytest.mark.parametrize("name", REFUSED)
 def test_a_manifest_is_refused_with_a_message_in_time(load, name):
     text, *parts = REFUSED[name]
-    start = time.perf_counter()
+    start = time.process_time()
     with pytest.raises(ManifestError) as caught:
         load(text)
-    assert time.perf_counter() - start < SECONDS
+    assert time.process_time() - start < SECONDS
     message = str(caught.value)
     for part in parts:
         assert part in message, message[:3000]
@@ -109,9 +109,9 @@ def test_a_limit_larger_than_the_platform_takes_means_none(load, line, name, val
 def test_a_study_never_has_more_runs_than_can_be_counted(load):
     study = load(VALID)
     for repetitions in (10**9, 10**19, 10**400):
-        with pytest.raises(OptionError, match=r"repetitions: expected at most 1,000,000,000 runs, got "):
-            replace(study, repetitions=2 * repetitions)
-    assert len(replace(study, repetitions=10**9)) == 10**9
+        with pytest.raises(OptionError, match=r"scenes: expected at most 1,000,000,000 runs, got "):
+            replace(study, scenes=2 * repetitions)
+    assert len(replace(study, scenes=10**9)) == 10**9
 
 
 def test_a_large_sweep_is_only_built_if_the_rest_is_valid(load, monkeypatch):

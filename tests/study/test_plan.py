@@ -7,7 +7,7 @@ from dataclasses import asdict, replace
 import pytest
 from conftest import BASIC
 
-from nfbench import load_study
+from nfbench import ManifestError, load_study
 
 MORE = BASIC + '[[solver]]\nkind = "sampler"\nbatch = 3\n'
 
@@ -47,7 +47,7 @@ def test_an_identity_is_stable_across_versions_of_the_code(manifest):
     assert (spec.run_id, spec.instance_seed, spec.solver_seed) == PINNED
 
 
-PINNED = ("66f014b937cf8ff0b10a", 6866092018086572425, 7474588578027608012)
+PINNED = ("b994129259c7fa0e62f9", 6871100851758048780, 8528600120412109636)
 
 
 def test_a_new_option_of_a_plugin_does_not_change_the_seeds(manifest, tmp_path):
@@ -77,10 +77,9 @@ class Mine(Solver):
 """
 
 
-def test_methods_share_instance_seeds_but_not_solver_seeds(manifest):
+def test_points_and_methods_share_the_seeds_of_scenes_but_not_those_of_solvers(manifest):
     specs = list(load_study(manifest(MORE + "[sweep]\ndimension = [2, 3]\n")).specs())
-    instances = {(spec.point.swept["dimension"], spec.repetition) for spec in specs}
-    assert len({spec.instance_seed for spec in specs}) == len(instances) == 6
+    assert len({(spec.instance_seed, spec.repetition) for spec in specs}) == 3
     assert len({spec.solver_seed for spec in specs}) == len(specs) == 12
     assert all(0 <= spec.solver_seed < 2**63 for spec in specs)
 
@@ -128,3 +127,62 @@ def test_changes_that_do_not_affect_the_result_keep_the_run_ids(manifest, same):
 )
 def test_changes_that_affect_the_result_change_the_run_ids(manifest, other):
     assert not set(ids(manifest(**other))) & set(ids(manifest(BASIC)))
+
+
+def test_a_study_runs_its_stochastic_methods_several_times_on_each_scene(manifest):
+    text = MORE + '[[solver]]\nkind = "scipy-direct"\n[sweep]\ndimension = [2, 3]\n'
+    path = manifest(text)
+    once = load_study(path)
+    path.write_text(path.read_text().replace("repetitions = 3", "scenes = 3\nruns_per_scene = 4"))
+    study = load_study(path)
+    stochastic = [method.label for method in study.methods if method.is_stochastic]
+    assert len(stochastic) == 2 and len(study.methods) == 3
+    specs = list(study.specs())
+    assert len(study) == len(specs) == 3 * 2 * (2 * 4 + 1)
+    cells = [(spec.repetition, spec.point.swept["dimension"], spec.method.label) for spec in specs]
+    assert len(set(cells)) == len({spec.run_id for spec in specs}) == len({spec.solver_seed for spec in specs}) == 54
+    assert {(number, label) for number, _, label in cells if label not in stochastic} == {
+        (4 * scene, "once + scipy-direct") for scene in range(3)
+    }
+    scenes = {spec.repetition // 4: spec.instance_seed for spec in specs}
+    assert all(spec.instance_seed == scenes[spec.repetition // 4] for spec in specs)
+    first = {spec.run_id: spec.solver_seed for spec in specs if spec.repetition % 4 == 0}
+    assert first == {spec.run_id: spec.solver_seed for spec in once.specs()}  # more runs change no other run
+
+
+def test_limits_of_the_budget_can_be_swept_and_do_not_change_the_scenes(manifest):
+    study = load_study(manifest(BASIC + '[sweep]\n"budget.evaluations" = [10, 1000]\n"scenario.noise" = [0.0, 0.5]\n'))
+    assert study.swept == ["budget.evaluations", "noise"]
+    specs = list(study.specs())
+    assert [spec.method.budget["evaluations"] for spec in specs[:4]] == [10, 10, 1000, 1000]
+    assert [spec.point.swept["budget.evaluations"] for spec in specs[:4]] == [10, 10, 1000, 1000]
+    assert len({spec.run_id for spec in specs}) == 12
+    assert len({spec.instance_seed for spec in specs}) == 3
+
+
+@pytest.mark.parametrize(
+    ("sweep", "message"),
+    [
+        ('"budget.evaluations" = [10, 0]', "sweep.budget.evaluations[1]: expected greater than or equal to 1, got 0"),
+        ('"budget.run_timeout_s" = [1.0]', "sweep.budget.run_timeout_s[0]: cannot be swept"),
+        ('"budget.evaluations" = [10, 10]', "sweep.budget.evaluations[1]: gives the same scenario as"),
+        ('"scenario.noise" = [0.0]\nnoise = [0.5]', "is given twice, as noise and as scenario.noise"),
+    ],
+)
+def test_invalid_swept_limits_are_reported_at_their_value(manifest, sweep, message):
+    with pytest.raises(ManifestError) as caught:
+        load_study(manifest(f"{BASIC}\n[sweep]\n{sweep}\n"))
+    assert any(message in text for text in caught.value.problems), caught.value.problems
+
+
+def test_a_limit_of_a_method_that_is_also_swept_is_refused(manifest):
+    own = BASIC.replace('kind = "once"', 'kind = "once"\nbudget = { evaluations = 7 }')
+    with pytest.raises(ManifestError, match=r"formulation\[0\].budget.evaluations: is swept by"):
+        load_study(manifest(own + '[sweep]\n"budget.evaluations" = [10, 20]\n'))
+
+
+def test_scenes_and_its_old_name_are_not_both_given(manifest):
+    path = manifest(BASIC)
+    path.write_text("scenes = 2\n" + path.read_text())
+    with pytest.raises(ManifestError, match="repetitions: is the old name of scenes; give only one of the two"):
+        load_study(path)

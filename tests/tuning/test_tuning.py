@@ -18,7 +18,6 @@ from typer.testing import CliRunner
 import nfbench
 import nfbench.tuning
 from nfbench import Ge, Gt, Le, Lt, MissingExtra, NfbenchError, Options, StoreError, Tune
-from nfbench.analysis.verdicts import judge
 from nfbench.cli.entry import app
 from nfbench.core.options import build
 from nfbench.plugins.registry import Registry
@@ -162,8 +161,10 @@ def test_scores_and_scenes_are_those_of_a_study(path, tmp_path):
     )  # the study has 4 repetitions, and 6 are held out
     assert found.trials[0].score == pytest.approx(logs[0][training].mean(), rel=1e-12)
     assert found.best.score == pytest.approx(logs[1][training].mean(), rel=1e-12)
-    factor = 10 ** (logs[1] - logs[0])[held_out].mean()
-    assert f"has {factor:.3g} times the default's error on 12 held-out scenes" in found.verdict
+    changes = (logs[1] - logs[0])[held_out].reshape(6, 2).mean(axis=1)  # of two points per scene
+    walsh = [(changes[i] + changes[j]) / 2 for i in range(6) for j in range(i, 6)]
+    factor = 10 ** np.median(walsh)  # Hodges and Lehmann's estimate
+    assert f"has {factor:.3g} times the default's error on 6 held-out scenes" in found.verdict
     assert list(found.held_out["runs"]) == [12, 12]
 
 
@@ -455,33 +456,6 @@ def test_fresh_moves_a_folder_aside_unless_another_process_writes_there(path, tm
     assert CliRunner().invoke(app, [*map(str, arguments), "--seed", "7", "--fresh"]).exit_code == 0
     (old,) = tmp_path.glob("out.2*")
     assert written(old) == before and len(pd.read_csv(out / "trials.csv")) == 2
-
-
-# --- verdicts ----------------------------------------------------------------------------------------------------
-
-
-def test_the_verdict_claims_no_more_than_the_scenes_support():
-    rng = np.random.default_rng(1)
-    default = rng.lognormal(size=40)
-    assert "0.5 times" in judge(default, default / 2) and "0.5 – 0.5): it is better" in judge(default, default / 2)
-    assert "it is worse" in judge(default, default * 1.5)
-    assert "the same within 1%" in judge(default, default * 1.002)
-    assert "the difference is not significant" in judge(default, rng.permutation(default))
-    assert "the difference is not significant" in judge(default, default * 0.995 * rng.lognormal(0, 0.02, 40))
-    assert judge(default[:5], default[:5] / 9).startswith("5 held-out scenes with both errors are too few to compare")
-    default[:36] = math.nan  # failed
-    assert judge(default, default / 9).startswith("4 held-out scenes")
-
-
-def test_the_interval_covers_the_true_factor():
-    """About 94 % of the intervals of 40 normal logs cover the mean, within 4 standard errors of 300 intervals."""
-    rng = np.random.default_rng(2)
-    hits = 0
-    for _ in range(300):
-        text = judge(np.ones(40), np.exp(rng.normal(math.log(0.8), 0.3, 40)))
-        low, high = map(float, re.search(r"bootstrap (\S+) – (\S+)\)", text).groups())
-        hits += low <= 0.8 <= high
-    assert 0.94 * 300 - 4 * math.sqrt(300 * 0.94 * 0.06) <= hits < 300
 
 
 # --- the command -----------------------------------------------------------------------------------------------------

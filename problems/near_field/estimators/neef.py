@@ -42,6 +42,9 @@ class Neef(Formulation):
     criterion: Criterion = "ne"
     refine: bool = False
 
+    def estimates(self, instance: NearFieldInstance, X: Float[ndarray, "r n"]) -> Float[ndarray, "r k d"] | None:
+        return None if self.refine else X.reshape(len(X), -1, instance.manifold.dimension)
+
     def solve(self, instance: NearFieldInstance, minimize: Minimize) -> Float[ndarray, "k d"]:
         """Return the sources (K, d) [rad, m]; raises Incompatible if there are fewer snapshots than sources."""
         K = how_many(instance, self.sources, self.criterion)

@@ -58,6 +58,11 @@ class Nemo(Formulation):
     stop_below: Annotated[float, Ge(0.0), Lt(math.inf)] | None = None
     refine: bool = False
 
+    def estimates(self, instance: NearFieldInstance, X: Float[ndarray, "r n"]) -> Float[ndarray, "r 1 d"] | None:
+        """Return the estimates of a search for one source; with more sources, or if it may be discarded, None."""
+        single = how_many(instance, self.sources, self.criterion) == 1
+        return None if self.refine or self.stop_below is not None or not single else X[:, None]
+
     def solve(self, instance: NearFieldInstance, minimize: Minimize) -> Float[ndarray, "k d"]:
         """Return the sources (K, d) [rad, m] in the order of their detection."""
         manifold = instance.manifold.under(self.wavefront)

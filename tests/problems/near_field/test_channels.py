@@ -141,7 +141,11 @@ def located(nlos, seed: int = 0) -> np.ndarray:
             return super().response(theta)
 
     manifold, *rest = scene("upa")
-    nlos.factors(np.random.default_rng(seed), Recording(manifold.positions, 0.02, "exact", True), *rest)
+    nlos.factors(
+        [own.spawn(2)[0] for own in np.random.default_rng(seed).spawn(2)],
+        Recording(manifold.positions, 0.02, "exact", True),
+        *rest,
+    )
     (theta,) = arguments
     return theta
 

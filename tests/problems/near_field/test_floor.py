@@ -158,7 +158,7 @@ def test_the_results_of_a_study_contain_the_bounds_that_exist(tmp_path):
     results = nfbench.run(nfbench.load_study(tmp_path / "bounds.toml"), out=tmp_path / "out", jobs=0)
     assert (results.runs.status == "ok").all()
     summary = results.summary().set_index(["scenario.rician_k", "scenario.wavefront"])
-    assert list(summary.columns)[-3:] == ["floor_m", "gospa_m", "sources_found"]
+    assert {"floor_m", "gospa_m", "sources_found"} <= set(summary.columns)
     known = summary[["crb_m", "floor_m"]].notna()
     assert known.loc[(math.inf, "exact")].tolist() == [True, False]
     assert known.loc[(10.0, "exact")].tolist() == [False, True]

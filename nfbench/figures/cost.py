@@ -1,0 +1,85 @@
+"""Expected running times: what it costs each method to reach a target, one line per method."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from nfbench.analysis import target_table
+
+from .axes import error_axis, new_figure
+from .costs import axis_of, hits_on, reached, target_of
+from .data import Drawn, chosen
+from .drawing import Drawing, NotDrawnError
+from .error import heading
+from .labels import plain, short
+from .style import GREY, WIDTHS
+
+__all__ = ["ert_figure"]
+
+ROW = 0.15  # height of a row [in]
+LINE = 0.13  # height of a line of text [in]
+NAME = {"single": 30, "double": 60}  # characters of a method's name
+FAR = 30.0  # times the largest expected running time: where an interval is cut
+
+
+def ert_figure(study: Drawn, how: Drawing) -> Figure:
+    """The expected running time of each method to one target, with its interval, the cheapest method first.
+
+    With a sweep there are up to two panels, or four in a wide figure, and the order is that over all of them. Raises
+    NotDrawnError if no method makes evaluations or none reaches the target.
+    """
+    axis = axis_of(study, how)
+    if axis == "evaluation_equivalents":
+        raise NotDrawnError("the expected running time is known in evaluations and in seconds only")
+    target = target_of(study, 1 if how.target is None else how.target)
+    hits = hits_on(study, axis, target)
+    points, unreached = reached(study, hits)
+    parts = chosen(points)
+    if how.width == "single" and len(parts) > 2:
+        parts = [parts[0], parts[-1]]
+    hits = pd.concat([part.at(hits) for part in parts])
+    column = "ert_s" if axis == "seconds" else "ert"
+    overall = target_table(hits, ["method"]).set_index("method")
+    order = overall.sort_values([column, "share"], ascending=[True, False], kind="stable").index.tolist()
+    table = target_table(hits) if study.swept else overall.reset_index()
+    headings = [heading(part, (44 if how.width == "single" else 100) // len(parts)) for part in parts]
+    above = LINE * max(map(len, headings)) + LINE * bool(unreached)
+    figure = new_figure(WIDTHS[how.width], ROW * len(order) + above + 0.5, study.title)
+    axes = figure.subplots(1, len(parts), sharey=True, sharex=True, squeeze=False)[0]
+    for ax, part, lines in zip(axes, parts, headings, strict=True):
+        _draw(ax, part, part.at(table).set_index("method"), order, column)
+        ax.set_title("\n".join(lines), loc="left")
+    values = table[[column, f"{column}_low", f"{column}_high"]].to_numpy(dtype=np.float64)
+    most = FAR * values[:, 0][np.isfinite(values[:, 0])].max()
+    error_axis(axes, "x", values[(values <= most) & (values > 0)])
+    axes[0].set_yticks(range(len(order)), [short(name, NAME[how.width]) for name in order])
+    axes[0].set_ylim(len(order) - 0.4, -0.6)
+    unit = "seconds" if axis == "seconds" else "evaluations"
+    note = f"\n({unreached})" if unreached else ""
+    figure.supxlabel(plain(f"Expected {unit} until {target.label if target else ''}{note}"), fontsize=7.5)
+    return figure
+
+
+def _draw(ax: Axes, part: Drawn, table: pd.DataFrame, order: list[str], column: str) -> None:
+    """Draw one panel; a method that never reaches the target says so."""
+    ax.tick_params(axis="y", length=0)
+    for place, name in enumerate(order):
+        if name not in table.index:
+            continue
+        row: dict[Any, Any] = table.loc[name].to_dict()
+        if not math.isfinite(row[column]):
+            at = ax.get_yaxis_transform()
+            ax.text(0.98, place, "never", color=GREY, va="center", ha="right", transform=at)
+            continue
+        style = part.styles[name]
+        colour = GREY if style.pale else style.colour
+        high = min(row[f"{column}_high"], 1e6 * row[column])  # beyond the axis if there is no upper end
+        ax.hlines([place], row[f"{column}_low"], high, color=colour, linewidth=1.0, zorder=2)
+        look = {**style.points, "color": colour, "markersize": 3.0 if style.pale else 4.0}
+        ax.plot(row[column], [place], **look, label=plain(name))

@@ -1,0 +1,121 @@
+"""Error against cost, with the efficient methods: those that no other method beats in both."""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+import numpy as np
+import pandas as pd
+from jaxtyping import Bool, Float
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from numpy import ndarray
+
+from nfbench.core import Status
+
+from .axes import error_axis, legend_below, new_figure, panel_rows, panels
+from .costs import AXIS_LABELS, axis_of
+from .data import Drawn, chosen, median_over_scenes
+from .drawing import Drawing, NotDrawnError
+from .error import headed, method_handles
+from .labels import plain
+from .style import WIDTHS
+
+__all__ = ["efficient", "spread_of_costs", "tradeoff_figure"]
+
+RING: dict[str, Any] = {
+    "color": "black",
+    "linewidth": 0.7,
+    "marker": "o",
+    "markersize": 7.5,
+    "markerfacecolor": "none",
+    "markeredgewidth": 0.7,
+}
+ENDS = ("", "_low", "_high")
+
+
+def efficient(costs: Float[ndarray, " n"], errors: Float[ndarray, " n"]) -> Bool[ndarray, " n"]:
+    """Whether no other point has at most the cost and at most the error of a point, and less of one of the two."""
+    no_more = (costs[None] <= costs[:, None]) & (errors[None] <= errors[:, None])
+    less = (costs[None] < costs[:, None]) | (errors[None] < errors[:, None])
+    return np.asarray(np.isfinite(errors) & ~(no_more & less).any(axis=1))
+
+
+def tradeoff_figure(study: Drawn, how: Drawing) -> Figure:
+    """Median error against median cost, one point per method, and per budget if budgets are swept.
+
+    Without a choice, the cost is in evaluations if all methods make evaluations, else in seconds. Runs that are not ok
+    count as infinite errors. The panels are up to four points of the other swept keys. Raises
+    NotDrawnError if no method makes evaluations, or fewer than two points have a finite median.
+    """
+    every = bool((study.table.groupby("method")["evaluations"].max() > 0).all())
+    axis = axis_of(study, how) if how.axis or every else "seconds"
+    if axis == "evaluation_equivalents":
+        raise NotDrawnError("the cost is known in evaluations and in seconds only")
+    parts = chosen(study.by([column for column in study.swept if not column.startswith("budget.")]))
+    tables = [_points(part, "runtime_s" if axis == "seconds" else "evaluations") for part in parts]
+    everything = pd.concat(tables)
+    if len(everything) < 2:
+        raise NotDrawnError("fewer than two methods have a cost and a finite median error")
+    rows = panel_rows(len(parts), how.width)
+    figure = new_figure(WIDTHS[how.width], (1.9 if len(parts) == 1 else 1.5) * rows + 0.35, study.title)
+    axes, left, lowest = panels(figure, len(parts), how.width, sharex=True, sharey=True)
+    for ax, part, table in zip(axes, parts, tables, strict=True):
+        headed(ax, part)
+        _draw(ax, part, table)
+    sides: tuple[tuple[Literal["x", "y"], str], ...] = (("x", "cost"), ("y", "error"))
+    for which, name in sides:
+        shown = everything.loc[~everything["pale"], [f"{name}{end}" for end in ENDS]].to_numpy().ravel()
+        error_axis(axes, which, [*everything[name], *shown])
+    for ax in left:
+        ax.set_ylabel(study.median_label)
+    for ax in lowest:
+        ax.set_xlabel("Median run time [s]" if axis == "seconds" else f"Median {AXIS_LABELS[axis].lower()}")
+    handles = method_handles(study, joined=_swept(study), names=set(everything["method"]))
+    handles["Efficient"] = Line2D([], [], **RING)
+    legend_below(figure, handles)
+    return figure
+
+
+def spread_of_costs(study: Drawn) -> bool:
+    """Whether costs differ by design: budgets are swept, evaluations differ by a tenth, or some methods make none."""
+    most = study.table.groupby("method")["evaluations"].max()
+    making = study.table.loc[study.table["evaluations"] > 0, "evaluations"]
+    mixed = bool((most > 0).any() and not (most > 0).all())
+    return mixed or _swept(study) or bool(len(making) > 1 and making.max() > 1.1 * making.min())
+
+
+def _swept(study: Drawn) -> bool:
+    return any(column.startswith("budget.") for column in study.swept)
+
+
+def _points(part: Drawn, column: str) -> pd.DataFrame:
+    """One row per method and budget that has a cost and a finite median error."""
+    rows = []
+    budgets = [name for name in part.swept if name.startswith("budget.")]
+    for setting in part.by(budgets):
+        for name, runs in setting.runs.groupby("method", sort=False):
+            errors = runs.assign(error=runs[part.error].where(runs["status"] == Status.OK))
+            row: dict[str, Any] = {"method": name, "pale": part.styles[str(name)].pale}
+            spreads = {"cost": median_over_scenes(runs, column), "error": median_over_scenes(errors, "error")}
+            for what, values in spreads.items():
+                row |= {f"{what}{end}": value for end, value in zip(ENDS, values, strict=True)}
+            rows.append(row)
+    columns = ["method", "pale", *(f"{what}{end}" for what in ("cost", "error") for end in ENDS)]
+    table = pd.DataFrame(rows, columns=columns)
+    return table[np.isfinite(table["error"]) & np.isfinite(table["cost"]) & (table["cost"] > 0)]
+
+
+def _draw(ax: Axes, part: Drawn, table: pd.DataFrame) -> None:
+    joined = _swept(part)
+    for name, style in part.styles.items():
+        own = table[table["method"] == name]
+        ax.plot(own["cost"], own["error"], **(style.joined if joined else style.points), label=plain(name))
+        if style.pale:
+            continue
+        highs = {what: own[f"{what}_high"].clip(upper=1e6 * own[what].clip(lower=1e-12)) for what in ("cost", "error")}
+        ax.hlines(own["error"], own["cost_low"], highs["cost"], color=style.colour, linewidth=0.7, zorder=2)
+        ax.vlines(own["cost"], own["error_low"], highs["error"], color=style.colour, linewidth=0.7, zorder=2)
+    best = table[efficient(table["cost"].to_numpy(), table["error"].to_numpy())].sort_values("cost")
+    ax.plot(best["cost"], best["error"], **RING, zorder=3.5, label="efficient")

@@ -1,0 +1,97 @@
+"""What the finished runs of a study show: hits of targets, the ranking of methods, and the verdicts on claims."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import pandas as pd
+
+from nfbench.analysis import (
+    Point,
+    Ranking,
+    Target,
+    judge_claims,
+    outcomes,
+    rank,
+    swept_columns,
+    target_table,
+)
+from nfbench.core import Status, StoreError
+from nfbench.study import Claim, claim_of
+
+from .hits import Hits, find_hits, targets_of
+from .reader import Reader
+
+__all__ = ["Evidence"]
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """The conclusions from the finished runs of a results folder. Each is computed at its first use and kept.
+
+    results: results folder.
+    runs: ``results.runs``.
+    """
+
+    results: Reader
+    runs: pd.DataFrame
+
+    @cached_property
+    def error(self) -> str:
+        """The column by which methods are ranked: the study's error measure.
+
+        It is ``gospa_m`` instead of ``rmse_m`` if any run found too few or too many sources, because the error of the
+        matched sources alone would favour such runs.
+        """
+        error, runs = self.results.meta["error"], self.runs
+        ok = runs[runs["status"] == Status.OK]
+        if error == "rmse_m" and {"sources", "sources_found", "gospa_m"} <= set(ok.columns):
+            return "gospa_m" if (ok["sources_found"] - ok["sources"]).any() else error
+        return error
+
+    @cached_property
+    def targets(self) -> tuple[Target, ...]:
+        """What counts as solved."""
+        return targets_of(self.results, self.runs)
+
+    @cached_property
+    def hits(self) -> Hits:
+        """Which targets each run reached, and when."""
+        return find_hits(self.results, self.targets, runs=self.runs)
+
+    def target_table(self) -> pd.DataFrame:
+        """One row per swept point, method and target."""
+        return target_table(self.hits.frame)
+
+    @cached_property
+    def points(self) -> list[Point]:
+        """The outcomes of the methods at each swept point."""
+        return self._points([])
+
+    def _points(self, columns: list[str]) -> list[Point]:
+        runs = self.runs if self.error in self.runs.columns else self.runs.assign(**{self.error: np.nan})
+        return outcomes(runs, self.hits.frame, self.error, swept_columns(runs), columns=columns)
+
+    @cached_property
+    def ranking(self) -> Ranking:
+        """The ranking of the methods at each swept point and over all of them."""
+        stopped = "target_reached" in self.runs.columns and bool((self.runs["target_reached"] == 1).any())
+        return rank(self.points, stopped_at_target=stopped)
+
+    def claims(self) -> pd.DataFrame:
+        """One row per claim of the manifest, with its verdict."""
+        claims = _claims(self.results)
+        columns = dict.fromkeys(claim.compare.measure for claim in claims)
+        known = [name for name in columns if name in self.runs.columns and self.runs[name].dtype.kind in "biuf"]
+        return judge_claims(claims, self._points(known), unfinished=True)  # the manifest's names were checked
+
+
+def _claims(results: Reader) -> list[Claim]:
+    """The claims that the study was run with. Raises StoreError if the text in the folder is damaged."""
+    try:
+        return [claim_of(table) for table in json.loads(results.meta.get("claims", "[]"))]
+    except (ValueError, TypeError) as error:
+        raise StoreError(f"{results.folder}: the claims in the table meta are damaged: {error}") from error
