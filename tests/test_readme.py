@@ -48,7 +48,8 @@ def test_the_two_lines_are_there_and_ci_calls_the_second():
     lines = [line for text in blocks("bash") for line in text.splitlines()]
     setups = [line for line in lines if line.startswith("python3 -m venv")]
     assert len(setups) == 2
-    assert setups[0].endswith("nfbench run studies/quickstart.toml") and setups[1].endswith(".venv/bin/pytest -n 2 --dist worksteal")
+    assert setups[0].endswith("nfbench run studies/quickstart.toml")
+    assert setups[1].endswith(".venv/bin/pytest -n 2 --dist worksteal")
     script = (PROJECT / ".ci" / "run").read_text(encoding="utf-8")
     pattern = re.search(r"grep -m1 -E '(.*)' README\.md", script)[1]
     assert [line for line in README.splitlines() if re.search(pattern, line)] == [setups[1]]

@@ -118,7 +118,8 @@ class ProcessPool:
         """
         future: Future[RunRecord] = Future()
         self._queue.append(_Run(spec, future))
-        self._wake()
+        if len(self._queue) == 1:  # otherwise the supervisor has not come to the run before this one yet
+            self._wake()
         if not self._supervisor.is_alive():
             self._give_up()
         return future

@@ -6,7 +6,7 @@ import hashlib
 import json
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any
 
 from nfbench.core import OptionError
@@ -122,7 +122,7 @@ class Study:
             point=point,
             method=method,
             repetition=scene * self.runs_per_scene + run,
-            instance_seed=seed_from("scene", self.seed, scene),
+            instance_seed=_scene_seed(self.seed, scene),
             solver_seed=seed_from("solver", *parts),
         )
 
@@ -133,7 +133,7 @@ class Study:
     def _methods(self, place: int) -> list[tuple[Method, str]]:
         """The methods at a point, with the budget that is swept there."""
         swept = self.points[place].budget
-        key = json.dumps(swept, sort_keys=True)
+        key = json.dumps(swept, sort_keys=True) if swept else ""
         if key not in self._methods_by_budget:
             methods = [method.with_budget(swept) for method in self.methods]
             self._methods_by_budget[key] = [(method, _method_digest(method)) for method in methods]
@@ -144,15 +144,22 @@ class Study:
         return {}
 
 
+_canonical = json.JSONEncoder(sort_keys=True, separators=(",", ":")).encode
+
+
 def digest(data: Any) -> str:
     """Return the hexadecimal SHA-256 of plain data in canonical JSON: sorted keys, shortest round-trip floats."""
-    text = json.dumps(data, sort_keys=True, separators=(",", ":"))
-    return hashlib.sha256(text.encode()).hexdigest()
+    return hashlib.sha256(_canonical(data).encode()).hexdigest()
 
 
 def seed_from(*parts: Any) -> int:
     """Return a 63-bit seed that depends on all parts and on nothing else."""
     return int(digest(list(parts))[:16], 16) >> 1
+
+
+@lru_cache(maxsize=1024)
+def _scene_seed(seed: int, scene: int) -> int:
+    return seed_from("scene", seed, scene)
 
 
 def _point_digest(point: Point) -> str:
