@@ -43,6 +43,7 @@ def summarize(
     * ``evaluations`` and ``runtime_s``: means over the runs.
     * ``floor_m``: root mean square of the error that remains at any SNR.
     * ``gospa_m``: root mean square of the GOSPA; ``sources_found``: mean over the runs.
+    * ``median_error_in_bounds`` and ``median_gap``: medians of these columns of the runs, where they exist.
     * If ``error`` is not ``rmse_m``: ``<error>``, ``<error>_low``, ``<error>_high``, ``<error>_median``,
       ``<error>_q90``, ``<error>_median_low`` and ``<error>_median_high``, computed like the columns of ``rmse_m``.
 
@@ -76,6 +77,10 @@ def _summary(group: pd.DataFrame, error: str, outlier_m: float) -> dict[str, Any
     row["floor_m"] = _root_mean_square(_values(ok, "floor_m"))
     row["gospa_m"] = _root_mean_square(_values(ok, "gospa_m"))
     row["sources_found"] = _mean(_values(ok, "sources_found"))
+    for name in ("error_in_bounds", "gap"):
+        if name in ok.columns and name != error:
+            values = _values(ok, name)
+            row[f"median_{name}"] = float(np.median(values)) if len(values) else np.nan
     if error != "rmse_m":
         row |= _spread(_values(ok, error), error, f"{error}_median", f"{error}_q90")
         row |= _median_interval(group, error, f"{error}_median")

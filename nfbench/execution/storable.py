@@ -22,7 +22,7 @@ RESERVED = frozenset(
         *("run_id", "study", "scenario", "formulation", "solver", "repetition", "scene", "run"),
         *("status", "message", "objective"),
         *("evaluations", "runtime_s", "cpu_s", "instance_seed", "solver_seed", "method", "host", "worker", "finished"),
-        *("target_reached", "optimum", "gradients"),
+        *("target_reached", "optimum", "gradients", "error_in_bounds"),
     )
 )  # columns that a score must not replace
 

@@ -62,6 +62,20 @@ class Evidence:
         """Which targets each run reached, and when."""
         return find_hits(self.results, self.targets, runs=self.runs)
 
+    @cached_property
+    def table(self) -> pd.DataFrame:
+        """The runs with their distance from the best possible: the columns of ``runs.csv``.
+
+        ``gap``, of the run's first problem, is added unless the scenario has a score of that name, and
+        ``error_in_bounds`` where there is a bound.
+        """
+        runs, gaps = self.runs, self.hits.gaps
+        if "gap" not in runs.columns and gaps is not None and np.isfinite(gaps).any():
+            runs = runs.assign(gap=gaps)
+        if {"crb_m", "rmse_m"} <= set(runs.columns):
+            runs = runs.assign(error_in_bounds=runs["rmse_m"] / runs["crb_m"])
+        return runs
+
     def target_table(self) -> pd.DataFrame:
         """One row per swept point, method and target."""
         return target_table(self.hits.frame)

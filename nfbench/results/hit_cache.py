@@ -20,7 +20,7 @@ __all__ = ["FILE", "Found", "read", "write"]
 
 FILE = "hits.npz"
 _LARGEST = 2**30  # bytes
-_KINDS = {"kept": "b", "hit": "b", "evaluations": "f", "seconds": "f", "spent": "f"}
+_KINDS = {"kept": "b", "hit": "b", "evaluations": "f", "seconds": "f", "spent": "f", "gap": "f"}
 
 
 @dataclass
@@ -32,6 +32,7 @@ class Found:
     evaluations: evaluations to the hit; inf without one.
     seconds: seconds to the hit; inf without one.
     spent: evaluations at the end of the run on the problems that the target is about.
+    gap: gap of the run's first problem at its end, (runs,); NaN where there is none.
     notes: sentences about what could not be computed along the traces.
     reasons: what was not available, as in ``Redrawing.reasons``.
     """
@@ -41,6 +42,7 @@ class Found:
     evaluations: ndarray
     seconds: ndarray
     spent: ndarray
+    gap: ndarray
     notes: list[str] = field(default_factory=list)
     reasons: dict[str, str] = field(default_factory=dict)
 
@@ -49,7 +51,7 @@ class Found:
         """No hit of any run."""
         shape = (runs, targets)
         kept, hit = np.ones(shape, dtype=bool), np.zeros(shape, dtype=bool)
-        return cls(kept, hit, np.full(shape, np.inf), np.full(shape, np.inf), np.zeros(shape))
+        return cls(kept, hit, np.full(shape, np.inf), np.full(shape, np.inf), np.zeros(shape), np.full(runs, np.nan))
 
 
 def read(folder: Path, key: str, shape: tuple[int, int]) -> Found | None:
@@ -63,7 +65,8 @@ def read(folder: Path, key: str, shape: tuple[int, int]) -> Found | None:
             if head["key"] != key:
                 return None
             found = {name: arrays[name] for name in _KINDS}
-        if any(found[name].shape != shape or found[name].dtype.kind != kind for name, kind in _KINDS.items()):
+        shapes = {name: shape[:1] if name == "gap" else shape for name in _KINDS}
+        if any(found[name].shape != shapes[name] or found[name].dtype.kind != _KINDS[name] for name in _KINDS):
             return None
         notes, reasons = head["notes"], head["reasons"]
         texts = [*notes, *reasons, *reasons.values()]

@@ -24,7 +24,7 @@ from .redrawing import Redrawing
 
 __all__ = ["GRADIENT_COST", "Hits", "Progress", "find_hits", "find_progress", "targets_of"]
 
-VERSION = 1  # of what is computed here; a file of another version is recomputed
+VERSION = 2  # of what is computed here; a file of another version is recomputed
 GRADIENT_COST = 1.3  # evaluations that a gradient adds; measured 0.9 to 1.8 on ESF and RLS (16 to 128 elements)
 KILLED = (Status.TIMEOUT, Status.CRASHED)  # whose evaluations are not known
 
@@ -34,7 +34,8 @@ class Hits:
     """Which targets each run reached, and when.
 
     frame: one row per run and target, with the columns below. notes: sentences about what is known only at the end of a
-    run, and about scenes and targets that are left out.
+    run, and about scenes and targets that are left out. gaps: gap of each run's first problem at its end, in the order
+    of the runs; NaN for runs that are not ok or minimize no problem.
 
     * ``run_id``, ``method``, ``scene``, ``run``, and the swept keys.
     * ``target``: label of the target; ``number``: its position in the list, from 0.
@@ -52,6 +53,7 @@ class Hits:
 
     frame: pd.DataFrame
     notes: tuple[str, ...] = ()
+    gaps: ndarray | None = None
 
 
 @dataclass(frozen=True)
@@ -115,7 +117,7 @@ def find_hits(
         found = _found(results, runs, targets, error, redrawing)
         if cached:
             hit_cache.write(results.folder, key, found)
-    return Hits(_frame(runs, targets, found, gradient_cost), tuple(found.notes))
+    return Hits(_frame(runs, targets, found, gradient_cost), tuple(found.notes), found.gap)
 
 
 def find_progress(
@@ -170,8 +172,10 @@ def _found(
     bounds, left_out = _bounds(runs)
     _leave_out(runs, targets, error, left_out, found)
     measures = {"gap" if target.kind == "gap" else "error" for target in targets}
-    curves = Curves(results, runs, error, redrawing, measures)
+    curves = Curves(results, runs, error, redrawing, measures | {"gap"})
     for curve in curves:
+        if curve.measure == "gap":
+            found.gap[curve.row] = curve.values[-1]
         for j, target in enumerate(targets):
             if (target.kind == "gap") == (curve.measure == "gap"):
                 _enter(curve, j, target, float(bounds[curve.row]), found)

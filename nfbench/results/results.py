@@ -137,7 +137,7 @@ class Results:
 
     def summary(self, by: Sequence[str] | None = None, outlier_m: float | None = None) -> pd.DataFrame:
         """One row per group of ``by`` (default: swept keys, formulation, solver, method); see ``summarize``."""
-        return self._summary(self.runs, by, outlier_m)
+        return self._summary(self.evidence().table, by, outlier_m)
 
     @property
     def targets(self) -> tuple[Target, ...]:
@@ -183,7 +183,7 @@ class Results:
         ``csv_text`` does.
         """
         evidence = self.evidence()
-        tables = {"runs": evidence.runs, "summary": self._summary(evidence.runs)}
+        tables = {"runs": evidence.table, "summary": self._summary(evidence.table)}
         with np.errstate(all="ignore"):  # scores may be infinite
             tables |= {"targets": evidence.target_table(), "ranking": evidence.ranking.frame}
             if len(claims := evidence.claims()):

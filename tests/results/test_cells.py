@@ -149,5 +149,5 @@ def test_an_undisturbed_study_is_written_as_before(manifest, tmp_path):
     extra = '[[formulation]]\nkind = "once"\n[[solver]]\nkind = "sampler"\n[budget]\nevaluations = 40\n[sweep]\n'
     study = load_study(manifest(extra + 'names = [["a"], ["b", "c"]]\n'))
     results = nfbench.run(study, out=tmp_path / "out", jobs=0)
-    plain = results.runs.to_csv(index=False)
+    plain = results.evidence().table.to_csv(index=False)
     assert (tmp_path / "out" / "runs.csv").read_text() == plain

@@ -337,3 +337,15 @@ def test_a_study_without_finished_runs_has_empty_tables(manifest, tmp_path):
         progress = find_progress(results, measure).frame
         assert len(progress) == len(fixed_budget_table(progress, [1])) == 0
     assert len(find_hits(results, []).frame) == 0
+
+
+def test_runs_csv_and_the_summary_state_gaps_and_errors_in_bounds(manifest, tmp_path):
+    values = (2.0, 5.0, 3.0)
+    records = [(Status.OK, 40, trace((1, 9.0), (40, v)), {"rmse_m": v, "crb_m": 0.5}) for v in values]
+    results = written(manifest, tmp_path / "out", records)
+    results.write_tables()
+    runs = pd.read_csv(results.folder / "runs.csv")
+    assert runs["error_in_bounds"].tolist() == [4.0, 10.0, 6.0]
+    assert runs["gap"].tolist() == [0.0, 0.0, 0.0]  # three scenes, each with the only run as its reference
+    (row,) = pd.read_csv(results.folder / "summary.csv").to_dict("records")
+    assert (row["median_error_in_bounds"], row["median_gap"]) == (6.0, 0.0)
