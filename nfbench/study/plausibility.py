@@ -27,11 +27,17 @@ def plugin_warnings(sweep: Sweep, methods: Iterable[Method], resolver: Resolver)
         if isinstance(made, Formulation):
             formulations[method.formulation.label] = made
     examined = [scenario for scenario in sweep.scenarios if scenario][: max(CALLS // (len(formulations) + 1), 1)]
-    kinds = [("scenario", point.scenario.kind) for point in sweep.points[:1]]
-    kinds += [("formulation", method.formulation.kind) for method in methods]
-    if any(resolver.registry.find(*kind).foreign for kind in kinds):  # its code could end or block this process
+    specs = [("scenario", point.scenario) for point in sweep.points[:1]]
+    specs += [("formulation", method.formulation) for method in methods]
+    if any(not spec.broken and resolver.registry.find(kind, spec.kind).foreign for kind, spec in specs):
+
+        def ask() -> str:
+            for _ in _all(examined, formulations):
+                pass
+            return ""
+
         advice = "its method `warnings` must return a list of texts"
-        if reason := rehearse(lambda: "\n".join(_all(examined, formulations))[:0], "asked for warnings", advice):
+        if reason := rehearse(ask, "asked for warnings", advice):  # its code would end or block this process
             return [printable(f"a plugin of the scenario or a formulation {reason}", LONGEST)]
     found = list(dict.fromkeys(_all(examined, formulations)))
     left = len(found) - SHOWN

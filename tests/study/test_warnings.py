@@ -127,3 +127,36 @@ def test_many_warnings_are_counted(tmp_path):
 def test_a_manifest_of_the_toy_plugin_has_no_warnings(manifest):
     assert load_study(manifest(BASIC)).warnings == ()
     assert Path(manifest(BASIC)).exists()
+
+
+ENDING = """
+import os
+from dataclasses import dataclass
+from nfbench import Formulation, Instance
+
+@dataclass(frozen=True)
+class Ending(Formulation):
+    \"\"\"Ends the process that asks for warnings.\"\"\"
+    accepts = Instance
+
+    def warnings(self, scenario):
+        os._exit(3)
+
+    def solve(self, instance, minimize):
+        return instance.truth()
+"""
+
+
+def test_a_plugin_that_ends_the_process_when_asked_for_warnings_is_a_warning(manifest, tmp_path):
+    (tmp_path / "ending.py").write_text(ENDING)
+    study = load_study(manifest(BASIC.replace('"once"', '"ending"'), plugins=[tmp_path / "ending.py"]))
+    (warning,) = study.warnings
+    assert "ended the process with exit code 3 while it was asked for warnings" in warning
+
+
+def test_a_formulation_of_a_broken_file_fails_its_own_rows_only(manifest, tmp_path):
+    (tmp_path / "ending.py").write_text("import nothing_of_this_name\n" + ENDING)
+    both = BASIC.replace('kind = "once"\n', 'kind = "once"\n[[formulation]]\nkind = "ending"\n')
+    study = load_study(manifest(both, plugins=[tmp_path / "ending.py"]))
+    assert [method.formulation.broken is None for method in study.methods] == [True, False]
+    assert any("ending.py is left out: ModuleNotFoundError" in text for text in study.warnings)
