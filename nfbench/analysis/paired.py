@@ -63,7 +63,7 @@ def tuning_verdict(default: Float[ndarray, "points n"], tuned: Float[ndarray, "p
     interval = f"95\u00a0% interval {found.low:.3g} – {found.high:.3g}, p = {found.p:.2g}"
     text = f"{found.ratio:.3g} times the default's error on {found.scenes} held-out scenes ({interval})"
     if any(failed):
-        text += f", of which it fails on {failed[1]} and the default on {failed[0]}"
+        text += f" (failures: {failed[1]} of the tuned setting, {failed[0]} of the default)"
     if found.low >= 1 - CHANGE and found.high <= 1 + CHANGE:
         return f"The tuned setting has {text}: they are the same within {CHANGE:.0%}. Keep the default."
     if found.p > ALPHA:

@@ -20,11 +20,11 @@ from nfbench.results import Results
 
 from .attainment import attainment_figure
 from .convergence import convergence_figure
-from .cost import ert_figure
 from .data import Drawn, drawn
 from .distribution import distribution_figure
 from .drawing import KINDS, Drawing, Kind, NotDrawnError
 from .error import error_figures
+from .expected_cost import ert_figure
 from .positions import few_enough, position_figures
 from .ranks import ranks_figure
 from .runtime import runtime_figure

@@ -13,13 +13,13 @@ from nfbench.analysis import Axis, attainment
 from nfbench.results import find_progress
 
 from .axes import error_axis, legend_below, new_figure, panel_rows, panels
-from .costs import AXIS_LABELS, axis_of
 from .data import Drawn, chosen
 from .drawing import Drawing, NotDrawnError
 from .error import headed, method_handles
 from .highlights import best_first
 from .labels import plain
 from .style import GREY, WIDTHS
+from .target_axes import AXIS_LABELS, axis_of
 
 __all__ = ["attainment_figure"]
 

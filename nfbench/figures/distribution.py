@@ -14,12 +14,12 @@ from matplotlib.patches import Patch
 from nfbench.analysis import Axis, runtime_distribution
 
 from .axes import error_axis, legend_below, new_figure, panel_rows, panels
-from .costs import AXIS_LABELS, axis_of, hits_on, reached, target_of
 from .data import Drawn, chosen
 from .drawing import Drawing
 from .error import headed, method_handles
 from .labels import plain
 from .style import GREY, WIDTHS
+from .target_axes import AXIS_LABELS, axis_of, hits_on, reached, target_of
 
 __all__ = ["distribution_figure"]
 

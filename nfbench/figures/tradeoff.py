@@ -15,12 +15,12 @@ from numpy import ndarray
 from nfbench.core import Status
 
 from .axes import error_axis, legend_below, new_figure, panel_rows, panels
-from .costs import AXIS_LABELS, axis_of
 from .data import Drawn, chosen, median_over_scenes
 from .drawing import Drawing, NotDrawnError
 from .error import headed, method_handles
 from .labels import plain
 from .style import WIDTHS
+from .target_axes import AXIS_LABELS, axis_of
 
 __all__ = ["efficient", "spread_of_costs", "tradeoff_figure"]
 

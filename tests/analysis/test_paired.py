@@ -51,7 +51,7 @@ def test_the_verdict_on_a_tuning():
 def test_a_lower_error_with_more_failures_is_a_trade_off():
     failing = np.where(np.arange(30) < 4, np.nan, 0.5 * ERRORS * JITTER)
     text = tuning_verdict(ERRORS[None], failing[None])
-    assert "of which it fails on 4 and the default on 0" in text
+    assert "(failures: 4 of the tuned setting, 0 of the default)" in text
     assert text.endswith(": a trade-off, as the lower error comes with more failures.")
 
 

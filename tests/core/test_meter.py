@@ -327,7 +327,7 @@ def test_a_thread_that_outlives_the_run_cannot_go_on_evaluating():
 
 
 class Clock:
-    """A clock that moves only when it is told to."""
+    """A clock that only the test advances."""
 
     def __init__(self, monkeypatch):
         self.now = 0.0

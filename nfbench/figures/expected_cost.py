@@ -13,12 +13,12 @@ from matplotlib.figure import Figure
 from nfbench.analysis import target_table
 
 from .axes import error_axis, new_figure
-from .costs import axis_of, hits_on, reached, target_of
 from .data import Drawn, chosen
 from .drawing import Drawing, NotDrawnError
 from .error import heading
 from .labels import plain, short
 from .style import GREY, WIDTHS
+from .target_axes import axis_of, hits_on, reached, target_of
 
 __all__ = ["ert_figure"]
 
