@@ -154,9 +154,14 @@ def test_a_plugin_that_ends_the_process_when_asked_for_warnings_is_a_warning(man
     assert "ended the process with exit code 3 while it was asked for warnings" in warning
 
 
-def test_a_formulation_of_a_broken_file_fails_its_own_rows_only(manifest, tmp_path):
+def test_a_formulation_of_a_broken_file_fails_its_own_rows_only(tmp_path):
     (tmp_path / "ending.py").write_text("import nothing_of_this_name\n" + ENDING)
-    both = BASIC.replace('kind = "once"\n', 'kind = "once"\n[[formulation]]\nkind = "ending"\n')
-    study = load_study(manifest(both, plugins=[tmp_path / "ending.py"]))
+    path = tmp_path / "study.toml"
+    path.write_text(
+        'name = "broken"\nscenes = 1\nseed = 1\nplugins = ["ending.py"]\n[scenario]\nkind = "functions"\n'
+        '[[formulation]]\nkind = "direct"\n[[formulation]]\nkind = "ending"\n[[solver]]\nkind = "de"\n'
+        "[budget]\nevaluations = 50\n"
+    )
+    study = load_study(path)
     assert [method.formulation.broken is None for method in study.methods] == [True, False]
     assert any("ending.py is left out: ModuleNotFoundError" in text for text in study.warnings)
