@@ -29,6 +29,10 @@ COST_TIE = 1.1  # costs whose ratio is smaller count as equal
 DOUBT = 0.25  # a method is visibly less reliable if one-sided p of the discordant scenes is at most this
 ALL = "all"  # the swept value of the block over all points
 
+COLUMNS = (  # after the swept keys
+    *("method", "runs", "solved_share", "solved_low", "solved_high", "error_ratio", "ratio_low", "ratio_high"),
+    *("in_reliable_set", "in_best_set", "worse_than", "mean_rank"),
+)
 Covered = tuple[dict[str, Any], tuple[Outcomes, ...]]  # swept values, and the points of a block
 
 
@@ -109,7 +113,7 @@ def rank(points: Sequence[Point], overall: bool = True, *, stopped_at_target: bo
         covered.append((dict.fromkeys(points[0][0], ALL), tuple(each for _, each in shared)))
     blocks = _blocks(covered, stopped_at_target)
     rows = [row for block in blocks for row in _rows(block, len(blocks))]
-    frame = pd.DataFrame(rows)
+    frame = pd.DataFrame(rows) if rows else pd.DataFrame(columns=list(COLUMNS))
     for name in ("in_reliable_set", "in_best_set"):
         if len(frame):
             frame[name] = frame[name].astype("boolean")

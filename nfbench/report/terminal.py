@@ -55,6 +55,10 @@ def print_report(results: Results, console: Console) -> None:
             table = _overall_table(ranks, block)
         console.print(table)
         console.print(shown(verdict))
+    if evidence.unranked:
+        for title, rows in tables:
+            console.print(summary_table(title, rows, meta["error"], float(meta["outlier_m"]), console))
+        console.print(shown(evidence.unranked))
     _print_claims(evidence.claims(), console)
     _print_failures(runs, console)
 
@@ -128,8 +132,8 @@ def _conclusion(found: Comparison) -> str:
     if found.undecided:
         methods = ", ".join(dict.fromkeys(found.methods.loc[found.methods["unknown"], "method"].map(str)))
         return (
-            f"Whether the difference matters cannot be judged: at least {FEWEST} scenes are needed, and there are "
-            f"fewer for {methods}."
+            f"Whether the difference matters cannot be judged: at least {FEWEST} scenes with errors of at least 0 are "
+            f"needed, and there are fewer for {methods}."
         )
     if len(found.rows) and (found.methods["ratio"] == 1).all():
         return "The difference does not matter: no method's error has changed."

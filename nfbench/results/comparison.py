@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from nfbench.analysis import holm, log_ratios, paired_change, swept_columns
+from nfbench.analysis import PairedChange, holm, paired_change, swept_columns
 from nfbench.core import Status, StoreError
 
 from .results import Results
@@ -134,12 +134,15 @@ def _methods(joined: pd.DataFrame, swept: list[str], error: str) -> pd.DataFrame
     rows = []
     for key, runs in joined.groupby([*swept, "method"], sort=False, dropna=False):
         first, second = (_errors(runs, error, side) for side in ("first", "second"))
-        found = paired_change(first[None], second[None])
-        differ = bool((np.abs(log_ratios(second, first, ties=False)) > ROUNDING).any())
+        negative = bool((np.minimum(first, second) < 0).any())  # such errors have no ratios
+        found = PairedChange(np.nan, np.nan, np.nan, 1.0, len(first))
+        if not negative:
+            found = paired_change(first[None], second[None])
+        differ = not np.allclose(first, second, rtol=ROUNDING, atol=0.0)
         row = dict(zip([*swept, "method"], key, strict=True))
         row |= {f"{error}_first": _median(first), f"{error}_second": _median(second)}
         row |= {"ratio": found.ratio, "low": found.low, "high": found.high, "p": found.p}
-        rows.append({**row, "scenes": found.scenes, "unknown": differ and not found.can_be_judged})
+        rows.append({**row, "scenes": found.scenes, "unknown": differ and (negative or not found.can_be_judged)})
     table = pd.DataFrame(rows)
     return table.assign(changed=holm(table["p"].to_numpy()) <= ALPHA) if rows else table
 

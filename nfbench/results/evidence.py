@@ -85,7 +85,20 @@ class Evidence:
         """The outcomes of the methods at each swept point."""
         return self._points([])
 
+    @cached_property
+    def unranked(self) -> str:
+        """Why methods cannot be ranked by the ratios of their errors; empty if they can."""
+        values = self.runs[self.error] if self.error in self.runs.columns else pd.Series(dtype=float)
+        smallest = float(values[self.runs["status"] == Status.OK].min()) if len(values) else 0.0
+        if smallest < 0:
+            return (
+                f"Methods are not ranked: {self.error} must be at least 0 to be compared by ratios, got {smallest:g}."
+            )
+        return ""
+
     def _points(self, columns: list[str]) -> list[Point]:
+        if self.unranked:
+            return []
         runs = self.runs if self.error in self.runs.columns else self.runs.assign(**{self.error: np.nan})
         return outcomes(runs, self.hits.frame, self.error, swept_columns(runs), columns=columns)
 

@@ -208,7 +208,10 @@ def test_compare_says_when_it_cannot_judge(manifest, tmp_path, monkeypatch, capf
     change(tmp_path / "b", """UPDATE results SET scores = '{"rmse_m": "0.5"}'""")
     code, text = command(monkeypatch, capfd, "compare", tmp_path / "a", tmp_path / "b")
     assert code == 1 and "does not matter" not in text
-    assert "cannot be judged: at least 6 scenes are needed, and there are fewer for once + " in text
+    assert (
+        "cannot be judged: at least 6 scenes with errors of at least 0 are needed, and there are fewer for once + "
+        in text
+    )
     change(tmp_path / "b", "DELETE FROM results")
     change(tmp_path / "a", "DELETE FROM results")
     code, text = command(monkeypatch, capfd, "compare", tmp_path / "a", tmp_path / "b")
@@ -222,3 +225,17 @@ def test_numbers_and_text_of_one_key_are_compared(manifest, tmp_path):
     change(tmp_path / "b", "DELETE FROM meta WHERE key = 'plan_rows'")
     found = compare(tmp_path / "a", tmp_path / "b")
     assert (found.equal, found.only_first, found.only_second) == (3, 3, 3)
+
+
+def test_errors_below_0_are_kept_and_said_not_to_be_ranked(manifest, tmp_path, monkeypatch, capfd):
+    """A score in decibels, for example, has no ratios; the runs and their summary are written all the same."""
+    for name in "ab":
+        results = run(manifest(BASIC, repetitions=8), tmp_path / name)
+        factor = {"a": "-1.0", "b": "-2.0"}[name]
+        change(tmp_path / name, f"""UPDATE results SET scores = '{{"rmse_m": "{factor}"}}'""")
+        results.write_tables()
+    assert results.ranking().frame.empty and (results.runs["rmse_m"] == -2.0).all()
+    code, text = command(monkeypatch, capfd, "report", tmp_path / "b")
+    assert code == 0 and "Methods are not ranked: rmse_m must be at least 0" in text and "once + sampler" in text
+    code, text = command(monkeypatch, capfd, "compare", tmp_path / "a", tmp_path / "b")
+    assert code == 1 and "cannot be judged: at least 6 scenes with errors of at least 0 are needed" in text
