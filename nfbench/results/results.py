@@ -183,14 +183,17 @@ class Results:
         ``csv_text`` does.
         """
         evidence = self.evidence()
-        tables = {"runs": evidence.table, "summary": self._summary(evidence.table)}
         with np.errstate(all="ignore"):  # scores may be infinite
-            tables |= {"targets": evidence.target_table(), "ranking": evidence.ranking.frame}
+            self._write_table("runs", evidence.table)  # first, as it needs no conclusion
+            self._write_table("summary", self._summary(evidence.table))
+            self._write_table("targets", evidence.target_table())
+            self._write_table("ranking", evidence.ranking.frame)
             if len(claims := evidence.claims()):
-                tables["claims"] = claims
-        for name, frame in tables.items():
-            text = csv_frame(frame)
-            write_whole(self.folder / f"{name}.csv", lambda path, text=text: text.to_csv(path, index=False))  # type: ignore[misc]
+                self._write_table("claims", claims)
+
+    def _write_table(self, name: str, frame: pd.DataFrame) -> None:
+        text = csv_frame(frame)
+        write_whole(self.folder / f"{name}.csv", lambda path: text.to_csv(path, index=False))
 
     def has_tables(self) -> bool:
         """Whether the tables exist, except for ``claims.csv``, which not every study has."""

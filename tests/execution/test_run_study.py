@@ -29,7 +29,7 @@ def test_every_run_is_a_row_with_the_public_columns(manifest, tmp_path):
     assert list(runs.columns) == [
         *("run_id", "study", "scenario", "formulation", "solver", "repetition", "scene", "run", "scenario.dimension"),
         *("status", "message", "rmse_m", "objective", "evaluations", "runtime_s", "cpu_s"),
-        *("instance_seed", "solver_seed", "method", "error_1_m"),
+        *("instance_seed", "solver_seed", "method", "error_1_m", "gap"),
     ]
     assert len(runs) == 3 * 2 * 3 == results.counts["ok"] + results.counts["skipped"]
     once = runs[runs.formulation == "once"]
