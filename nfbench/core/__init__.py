@@ -19,7 +19,7 @@ from .errors import (
     explain,
     message_of,
 )
-from .formulation import Formulation, Minimize
+from .formulation import Formulation, Minimize, Solution
 from .meter import MeteredProblem
 from .minimization import budget_problem, budget_warning, common_start, minimize, start_problem
 from .minimum import Minimum
@@ -76,6 +76,7 @@ __all__ = [
     "Problem",
     "ProblemInstance",
     "Scenario",
+    "Solution",
     "Solver",
     "SolverInfo",
     "Status",

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from typing import Any, ClassVar, TypeAlias
 
 from numpy import ndarray
@@ -14,10 +14,23 @@ from .options import Options
 from .problem import Problem
 from .scenario import Instance
 
-__all__ = ["Formulation", "Minimize"]
+__all__ = ["Formulation", "Minimize", "Solution"]
 
 Minimize: TypeAlias = Callable[[Problem], Minimum]
 """Minimizes a problem with the run's solver and budget. If this fails, the call does not return and the run ends."""
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """An estimate with more to say about it than its position, such as standard errors or a certificate.
+
+    estimate: the estimate, in the form that ``instance.score`` expects.
+    columns: numbers by the names of the columns in which a study stores them; they must differ from those of the
+        scores.
+    """
+
+    estimate: ndarray
+    columns: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -48,8 +61,8 @@ class Formulation(Options, ABC):
         return None
 
     @abstractmethod
-    def solve(self, instance: Any, minimize: Minimize) -> ndarray:
-        """Return the estimate for ``instance``, in the form that ``instance.score`` expects.
+    def solve(self, instance: Any, minimize: Minimize) -> ndarray | Solution:
+        """Return the estimate for ``instance``, in the form that ``instance.score`` expects, alone or as a Solution.
 
         ``instance`` is an object of the class ``accepts``. Raise Incompatible, with the reason, if the formulation
         cannot solve this instance.

@@ -16,6 +16,7 @@ from nfbench.core import (
     Minimum,
     NfbenchError,
     Problem,
+    Solution,
     Status,
     common_start,
     explain,
@@ -27,7 +28,7 @@ from nfbench.plugins import Registry
 from nfbench.study import PluginSpec, RunRecord, RunSpec
 
 from .stopping import Stopping
-from .storable import Unstorable, plain_estimate, plain_scores
+from .storable import Unstorable, plain_columns, plain_estimate, plain_scores
 
 __all__ = ["execute"]
 
@@ -125,12 +126,14 @@ class _Attempt:
             found = formulation.solve(instance, minimize_next)
         finally:
             self.runtime_s, self.cpu_s = time.perf_counter() - wall, time.process_time() - cpu
+        found, columns = (found.estimate, found.columns) if isinstance(found, Solution) else (found, {})
         estimate = plain_estimate(found)
         self.estimate = estimate.tolist()
         try:
             self.scores = plain_scores(instance.score(estimate))
         except ValueError as error:
             raise _Ended(Status.INVALID, f"estimate: {error}") from error
+        self.scores |= plain_columns(columns, self.scores)
         if estimate.size and math.isnan(self.scores.get(scenario.error, math.nan)):
             raise _Ended(Status.INVALID, f"{scenario.error} of the estimate is NaN")
         return Status.OK, "; ".join(minimum.message for minimum in self.minima if minimum.message)

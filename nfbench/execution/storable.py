@@ -12,7 +12,7 @@ import numpy as np
 
 from nfbench.core import printable
 
-__all__ = ["RESERVED", "Unstorable", "plain_estimate", "plain_scores"]
+__all__ = ["RESERVED", "Unstorable", "plain_columns", "plain_estimate", "plain_scores"]
 
 LARGEST = 100_000  # numbers in an estimate
 MOST_SCORES = 1_000
@@ -51,6 +51,14 @@ def plain_scores(found: Any) -> dict[str, float]:
     if len(found) > MOST_SCORES:
         raise Unstorable(f"score: expected at most {MOST_SCORES:,} columns, got {len(found):,}")
     return {_name(name): _number(name, value) for name, value in found.items()}
+
+
+def plain_columns(found: Any, scores: Mapping[str, float]) -> dict[str, float]:
+    """The columns of a Solution as numbers by name. Raises Unstorable for anything else, and for the name of a score."""
+    columns = plain_scores(found)
+    if taken := sorted(columns.keys() & scores.keys()):
+        raise Unstorable(f"columns of the solution: {taken[0]!r} is the name of a score; use a name of its own")
+    return columns
 
 
 def _name(name: Any) -> str:

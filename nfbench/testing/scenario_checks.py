@@ -22,6 +22,7 @@ from nfbench.core import (
     PluginError,
     Problem,
     Scenario,
+    Solution,
     Solver,
     SolverInfo,
     build,
@@ -66,7 +67,8 @@ class _Scene:
             problems.append(problem)
             return minimize(problem, _Sampler(), POINTS, len(problems))
 
-        return np.asarray(formulation.solve(instance, sample)), problems
+        found = formulation.solve(instance, sample)
+        return np.asarray(found.estimate if isinstance(found, Solution) else found), problems
 
     def problems(self, seed: int = 1) -> list[Problem]:
         """Return every problem that the formulations build from one instance."""
