@@ -54,7 +54,7 @@ def plain_scores(found: Any) -> dict[str, float]:
 
 
 def plain_columns(found: Any, scores: Mapping[str, float]) -> dict[str, float]:
-    """The columns of a Solution as numbers by name. Raises Unstorable for anything else, and for the name of a score."""
+    """The columns of a Solution as numbers by name. Raises Unstorable for anything else, and for a score's name."""
     columns = plain_scores(found)
     if taken := sorted(columns.keys() & scores.keys()):
         raise Unstorable(f"columns of the solution: {taken[0]!r} is the name of a score; use a name of its own")
