@@ -49,7 +49,7 @@ class _Tally:
     def add(self, spec: RunSpec, record: RunRecord) -> None:
         if record.status is not Status.OK:
             self._bad[record.status] += 1
-        elif not math.isnan(record.scores.get(self._error, math.nan)):
+        elif spec.asks == "estimate" and not math.isnan(record.scores.get(self._error, math.nan)):
             square, error = self._squares[spec.method.label], record.scores[self._error]
             square[0] += error * error  # of a huge error this is inf, where a power would raise OverflowError
             square[1] += 1
@@ -70,7 +70,8 @@ class _Tally:
 class LiveView:
     """Shows runs done, rate, time left, failures and the leading methods so far in a terminal."""
 
-    def __init__(self, console: Console, error: str) -> None:
+    def __init__(self, console: Console, error: str, what: str = "runs") -> None:
+        self._what = what
         self._bar = Progress(
             TextColumn("{task.description}"),
             BarColumn(bar_width=20),
@@ -90,7 +91,7 @@ class LiveView:
 
     def begin(self, total: int, done: int) -> None:
         self._start = time.monotonic()
-        self._task = self._bar.add_task("runs", total=total, completed=done, rate="")
+        self._task = self._bar.add_task(self._what, total=total, completed=done, rate="")
 
     def finished(self, spec: RunSpec, record: RunRecord) -> None:
         self._done += 1
@@ -123,7 +124,8 @@ class LiveView:
 class Lines:
     """Prints a plain line every ten seconds and at the end, for logs and pipes."""
 
-    def __init__(self, console: Console, error: str) -> None:
+    def __init__(self, console: Console, error: str, what: str = "runs") -> None:
+        self._what = what
         self._console = console
         self._tally = _Tally(error)
         self._start = self._last = time.monotonic()
@@ -132,8 +134,8 @@ class Lines:
     def begin(self, total: int, done: int) -> None:
         self._total, self._done, self._before = total, done, done
         self._start = self._last = time.monotonic()
-        before = f"{done} of {total} runs are already done; " if done else ""
-        self._console.print(f"{before}runs to do: {total - done}")
+        before = f"{done} of {total} {self._what} are already done; " if done else ""
+        self._console.print(f"{before}{self._what} to do: {total - done}")
 
     def finished(self, spec: RunSpec, record: RunRecord) -> None:
         self._done += 1
@@ -145,7 +147,7 @@ class Lines:
             left = elapsed / (self._done - self._before) * (self._total - self._done)
             bad = f", not ok: {self._tally.bad}" if self._tally.bad else ""
             self._console.print(
-                f"{self._done} of {self._total} runs done, {elapsed:.0f} s elapsed, {left:.0f} s left{bad}"
+                f"{self._done} of {self._total} {self._what} done, {elapsed:.0f} s elapsed, {left:.0f} s left{bad}"
             )
 
     def stopping(self) -> None:

@@ -138,12 +138,14 @@ def compare(
 
 @app.command()
 def report(folder: Folder) -> None:
-    """Print the tables and verdicts of a study."""
+    """Print the tables and verdicts of a study. The exit code is 1 if a run contradicts a proven optimum."""
     from nfbench.report import print_report
     from nfbench.results import Results
 
     with _explained(folder):
         print_report(Results(folder), output())
+        wrong = len(Results(folder).contradictions())
+    raise typer.Exit(NOT_ALL_OK if wrong else OK)
 
 
 @app.command()

@@ -61,7 +61,8 @@ def run(
 
     console = output()
     folder = out or Path("results") / loaded.name
-    progress = Quiet() if quiet else (LiveView if console.is_terminal else Lines)(console, loaded.error)
+    what = "runs and proofs" if loaded.proven else "runs"
+    progress = Quiet() if quiet else (LiveView if console.is_terminal else Lines)(console, loaded.error, what)
     try:
         with progress:
             results = run_study(
@@ -78,15 +79,25 @@ def run(
         console.print(f"Interrupted: {_progress(folder)}. Run the same command to resume.", markup=False)
         raise typer.Exit(INTERRUPTED) from None
     if quiet:
-        for status_, method, count, message in results.failures:
+        for status_, method, count, message in [*results.failures, *_failed_proofs(results)]:
             say(f"nfbench: {status_} × {count}: {method}: {message}", error=True)
     else:
         print_report(results, console)
-        tables = ("runs.csv", "summary.csv", "targets.csv", "ranking.csv", "claims.csv")
+        tables = ("runs.csv", "summary.csv", "targets.csv", "ranking.csv", "claims.csv", "references.csv")
         names = [*(name for name in tables if (folder / name).is_file()), "environment.json", "runs.sqlite"]
         console.print()
         console.print(shown(f"Written to {folder}/: {', '.join(names)}"), soft_wrap=True)
-    raise typer.Exit(OK if set(results.counts) <= {Status.OK} else NOT_ALL_OK)
+    raise typer.Exit(_outcome(results, quiet))
+
+
+def _outcome(results: Results, quiet: bool) -> int:
+    """The exit code of a study that is finished; a wrong certificate is also printed if nothing else is."""
+    wrong = results.contradictions()
+    if quiet and len(wrong):
+        where = results.folder / "references.csv"
+        say(f"nfbench: wrong certificate × {len(wrong)}: see the column contradicted_by in {where}", error=True)
+    all_ok = set(results.counts) <= {Status.OK} and set(results.reference_counts) <= {Status.OK, Status.SKIPPED}
+    return OK if all_ok and not len(wrong) else NOT_ALL_OK
 
 
 def _announce(study: Study, shard: tuple[int, int] | None, yes: bool) -> None:
@@ -169,5 +180,12 @@ def status(folder: Folder) -> None:
     for name in [*Status, "open"]:
         if name in counts:
             typer.echo(f"{name:>8} {counts[name]}")
-    for status_, method, count, message in results.failures:
+    if proofs := results.reference_counts:
+        say(f"{sum(proofs.values()) - proofs.get('open', 0)} of {sum(proofs.values())} optima examined by proofs")
+    for status_, method, count, message in [*results.failures, *_failed_proofs(results)]:
         say(f"{status_} × {count}: {method}: {message}")
+
+
+def _failed_proofs(results: Results) -> list[tuple[str, str, int, str]]:
+    """The proofs of optima that are not ok, as ``failures`` lists runs."""
+    return [(name, f"optimum of {label}", count, text) for name, label, count, text in results.reference_failures]

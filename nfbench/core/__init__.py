@@ -40,6 +40,7 @@ from .options import (
 )
 from .problem import Problem
 from .process import cause_of_end, die_with_parent, end_group_at_eof
+from .reference import Reference
 from .scenario import Extra, Instance, ProblemInstance, Scenario
 from .solver import AskTell, AskTellSolver, Solver, SolverInfo
 from .status import Status
@@ -75,6 +76,7 @@ __all__ = [
     "PluginOption",
     "Problem",
     "ProblemInstance",
+    "Reference",
     "Scenario",
     "Solution",
     "Solver",

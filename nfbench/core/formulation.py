@@ -12,6 +12,7 @@ from numpy import ndarray
 from .minimum import Minimum
 from .options import Options
 from .problem import Problem
+from .reference import Reference
 from .scenario import Instance
 
 __all__ = ["Formulation", "Minimize", "Solution"]
@@ -57,6 +58,14 @@ class Formulation(Options, ABC):
 
         This gives the error along a trace. The default is None: the estimate does not depend on the minimizer of a
         single problem alone, for example because the formulation minimizes several problems or refines the minimizer.
+        """
+        return None
+
+    def reference(self, instance: Any) -> Reference | None:
+        """Return the optimum of the first problem that ``solve`` minimizes, as far as it can be proven.
+
+        A study with ``[reference]`` calls this once per scene and measures the gaps of all methods from the result. The
+        result must depend on nothing but the instance and the options. The default is None: no proof is known.
         """
         return None
 

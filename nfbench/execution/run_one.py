@@ -16,6 +16,7 @@ from nfbench.core import (
     Minimum,
     NfbenchError,
     Problem,
+    Reference,
     Solution,
     Status,
     common_start,
@@ -28,18 +29,20 @@ from nfbench.plugins import Registry
 from nfbench.study import PluginSpec, RunRecord, RunSpec
 
 from .stopping import Stopping
-from .storable import Unstorable, plain_columns, plain_estimate, plain_scores
+from .storable import Unstorable, plain_columns, plain_estimate, plain_reference, plain_scores
 
 __all__ = ["execute"]
 
 
 def execute(spec: RunSpec, registry: Registry, *, interruptible: bool = True) -> RunRecord:
-    """Draw the instance, solve it, and score the estimate; the record can be stored whatever the plugins did.
+    """Draw the instance, and solve it and score the estimate, or prove the optimum of its first problem.
+
+    The record can be stored whatever the plugins did.
 
     interruptible: whether a KeyboardInterrupt is the user's and passed on. In a worker process it is the plugin's own.
     Raises nothing else.
     """
-    attempt = _Attempt(spec, registry)
+    attempt = _Proof(spec, registry) if spec.asks == "reference" else _Attempt(spec, registry)
     try:
         status, message = attempt.run()
     except _Ended as ended:
@@ -58,19 +61,7 @@ def execute(spec: RunSpec, registry: Registry, *, interruptible: bool = True) ->
         status, message = Status.FAILED, explain(error)
     except BaseException as error:  # a plugin may raise any, such as SystemExit or GeneratorExit
         status, message = Status.FAILED, explain(error)
-    minima = attempt.minima
-    return RunRecord(
-        run_id=spec.run_id,
-        status=status,
-        message=printable(message),
-        objective=minima[-1].value if minima else math.nan,
-        evaluations=sum(minimum.evaluations for minimum in minima),
-        runtime_s=attempt.runtime_s,
-        cpu_s=attempt.cpu_s,
-        scores={**attempt.scores, **attempt.facts(status)},
-        estimate=attempt.estimate,
-        traces=tuple(minimum.trace.thinned(max(MAX_ROWS // len(minima), 2)) for minimum in minima),
-    )
+    return attempt.record(status, printable(message))
 
 
 class _Ended(Exception):
@@ -138,6 +129,22 @@ class _Attempt:
             raise _Ended(Status.INVALID, f"{scenario.error} of the estimate is NaN")
         return Status.OK, "; ".join(minimum.message for minimum in self.minima if minimum.message)
 
+    def record(self, status: Status, message: str) -> RunRecord:
+        """What the run has found until it ended."""
+        minima = self.minima
+        return RunRecord(
+            run_id=self.spec.run_id,
+            status=status,
+            message=message,
+            objective=minima[-1].value if minima else math.nan,
+            evaluations=sum(minimum.evaluations for minimum in minima),
+            runtime_s=self.runtime_s,
+            cpu_s=self.cpu_s,
+            scores={**self.scores, **self.facts(status)},
+            estimate=self.estimate,
+            traces=tuple(minimum.trace.thinned(max(MAX_ROWS // len(minima), 2)) for minimum in minima),
+        )
+
     def facts(self, status: Status) -> dict[str, float]:
         """What the run records beside the scores of its estimate.
 
@@ -154,6 +161,48 @@ class _Attempt:
         if gradients := sum(minimum.gradients for minimum in self.minima):
             facts["gradients"] = float(gradients)
         return facts
+
+
+class _Proof:
+    """One proof of an optimum in progress."""
+
+    def __init__(self, spec: RunSpec, registry: Registry) -> None:
+        self.spec = spec
+        self.registry = registry
+        self.value = math.nan
+        self.columns: dict[str, float] = {}
+        self.point: list[Any] | None = None
+        self.runtime_s = self.cpu_s = math.nan
+
+    def run(self) -> tuple[Status, str]:
+        scenario = self.registry.make("scenario", *_available(self.spec.point.scenario))
+        formulation = self.registry.make("formulation", *_available(self.spec.method.formulation))
+        instance = scenario.draw(np.random.default_rng(self.spec.instance_seed))
+        wall, cpu = time.perf_counter(), time.process_time()
+        try:
+            found = formulation.reference(instance)
+        finally:
+            self.runtime_s, self.cpu_s = time.perf_counter() - wall, time.process_time() - cpu
+        if found is None:
+            return Status.SKIPPED, "the formulation has no proof for this scene"
+        if not isinstance(found, Reference):
+            raise Unstorable(f"reference: expected a Reference or None, got {type(found).__name__}")
+        self.value, self.columns, point = plain_reference(found)
+        self.point = None if point is None else point.tolist()
+        return Status.OK, ""
+
+    def record(self, status: Status, message: str) -> RunRecord:
+        """What has been proven."""
+        return RunRecord(
+            run_id=self.spec.run_id,
+            status=status,
+            message=message,
+            objective=self.value,
+            runtime_s=self.runtime_s,
+            cpu_s=self.cpu_s,
+            scores=self.columns,
+            estimate=self.point,
+        )
 
 
 def _available(spec: PluginSpec) -> tuple[str, dict[str, Any]]:

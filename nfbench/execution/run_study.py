@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import heapq
 import json
 import multiprocessing
 import os
@@ -29,10 +30,10 @@ class Listener(Protocol):
     """Receives the progress of a study while it runs."""
 
     def begin(self, total: int, done: int) -> None:
-        """Called before the first run; ``done`` of ``total`` runs are already finished."""
+        """Called before the first run; ``done`` of ``total`` runs, including proofs of optima, are finished."""
 
     def finished(self, spec: RunSpec, record: RunRecord) -> None:
-        """Called after each run that is finished and stored."""
+        """Called after each run or proof that is finished and stored; ``spec.asks`` says which."""
 
     def stopping(self) -> None:
         """Called from a signal handler at the first Ctrl-C: current runs are finished, then the study stops."""
@@ -75,18 +76,22 @@ def run(
         write_whole(folder / "manifest.toml", lambda path: path.write_text(study.manifest, encoding="utf-8"))
         if kind := network_file_system(folder):
             log.warning("%s is on a network file system (%s): writing without WAL, which is slower", folder, kind)
-        todo = store.open_ordinals()
+        todo, proofs = store.open_ordinals(), store.references.open_ordinals()
         total = sum(store.counts().values())
         log.info("%d of %d runs to do, on %s", len(todo), total, cluster or f"{jobs} worker processes")
+        if study.proven:
+            log.info("%d of %d optima to prove", len(proofs), study.references)
+            total += sum(store.references.counts().values())
         started = datetime.now(UTC)
-        if todo and not cluster:
+        work = len(todo) + len(proofs)
+        if work and not cluster:
             warm_up(study)
         if listener:
-            listener.begin(total, total - len(todo))
+            listener.begin(total, total - work)
         try:
-            _store_batches(_batches(study, todo, jobs, cluster, stop), store, log, listener)
+            _store_batches(_batches(study, todo, proofs, jobs, cluster, stop), store, log, listener)
         finally:
-            if todo or is_new or not store.tabled() or not results.has_tables():
+            if work or is_new or not store.tabled() or not results.has_tables():
                 _write_environment(folder, describe_environment(study.plugins), cluster or jobs, started)
                 results.write_tables()
                 store.mark_tabled()
@@ -100,7 +105,9 @@ def _store_batches(batches: Batches, store: Store, log: Logger, listener: Listen
     """Store every finished batch, then report its runs to the log and the listener."""
     try:
         for batch in batches:
-            store.add(record for _, record in batch)
+            store.add(record for spec, record in batch if spec.asks == "estimate")
+            if any(spec.asks == "reference" for spec, _ in batch):
+                store.references.add(record for spec, record in batch if spec.asks == "reference")
             for spec, record in batch:
                 if record.status != "ok":
                     log.info("%s: %s: %s", record.status, spec.method.label, record.message)
@@ -110,10 +117,13 @@ def _store_batches(batches: Batches, store: Store, log: Logger, listener: Listen
         batches.close()
 
 
-def _batches(study: Study, todo: list[int], jobs: int, cluster: str | None, stop: Callable[[], bool]) -> Batches:
-    specs = map(study.spec, todo)
+def _batches(
+    study: Study, todo: list[int], proofs: list[int], jobs: int, cluster: str | None, stop: Callable[[], bool]
+) -> Batches:
+    """The runs and proofs, scene by scene: the proofs of a scene come first, because they may take longest."""
+    specs = heapq.merge(map(study.reference, proofs), map(study.spec, todo), key=lambda spec: spec.repetition)
     if cluster is None:
-        return run_specs(specs, study.plugins, jobs if todo else 0, stop)
+        return run_specs(specs, study.plugins, jobs if todo or proofs else 0, stop)
     from .dask_cluster import run_on_cluster
 
     return run_on_cluster(specs, study.plugins, cluster, stop)

@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from nfbench.core import printable
+from nfbench.core import Reference, printable
 
-__all__ = ["RESERVED", "Unstorable", "plain_columns", "plain_estimate", "plain_scores"]
+__all__ = ["PROVEN", "RESERVED", "Unstorable", "plain_columns", "plain_estimate", "plain_reference", "plain_scores"]
 
 LARGEST = 100_000  # numbers in an estimate
 MOST_SCORES = 1_000
@@ -25,6 +25,10 @@ RESERVED = frozenset(
         *("target_reached", "optimum", "gradients", "error_in_bounds"),
     )
 )  # columns that a score must not replace
+
+
+PROVEN = ("gap", "certified", "step")  # what every proof says beside its value
+_OF_REFERENCES = frozenset((*PROVEN, "reference_id", "value", "seconds", "best_found", "contradicted_by"))
 
 
 class Unstorable(Exception):
@@ -42,6 +46,24 @@ def plain_estimate(found: Any) -> np.ndarray:
     if estimate.size > LARGEST:
         raise Unstorable(f"estimate: expected at most {LARGEST:,} numbers, got {estimate.size:,}")
     return estimate.astype(np.float64) if estimate.dtype.kind == "f" else estimate
+
+
+def plain_reference(found: Reference) -> tuple[float, dict[str, float], np.ndarray | None]:
+    """The value of a proof, its other numbers by column name, and its point. Raises Unstorable if it is impossible."""
+    value, gap, step = _number("value", found.value), _number("gap", found.gap), _number("step", found.step)
+    if not math.isfinite(value):
+        raise Unstorable(f"reference: expected a finite value, got {value}")
+    if not gap >= 0.0 or (found.certified and math.isinf(gap)):
+        raise Unstorable(f"reference: expected a gap >= 0, finite if it is certified, got {gap}")
+    if not isinstance(found.certified, bool | np.bool_) or not step >= 0 or step != int(step):
+        raise Unstorable(f"reference: expected certified true or false and a step >= 0, got {found!r:.200}")
+    columns = plain_scores(found.columns)
+    if taken := sorted(name for name in columns if name in _OF_REFERENCES or name.startswith("x_")):
+        raise Unstorable(f"columns of the reference: {taken[0]!r} is the name of another column; use a name of its own")
+    point = None if found.point is None else plain_estimate(found.point)
+    if point is not None and (point.ndim != 1 or not np.isfinite(point).all()):
+        raise Unstorable(f"reference: expected a finite point (n,), got the shape {point.shape}")
+    return value, {"gap": gap, "certified": float(found.certified), "step": step, **columns}, point
 
 
 def plain_scores(found: Any) -> dict[str, float]:

@@ -61,7 +61,8 @@ def attainment_figure(study: Drawn, how: Drawing) -> Figure:
         ax.set_xlabel(AXIS_LABELS[axis])
     handles = method_handles(study, joined=True, names=set(table["method"]))
     handles["25 to 75 % of the runs"] = Patch(facecolor=GREY, alpha=0.3, linewidth=0)
-    legend_below(figure, handles, "Value that 50 % of the runs have reached, and 25 to 75 % of them")
+    value = f"Gap to the {study.evidence.origin_of_gaps(progress['run_id'])}" if measure == "gap" else "Value"
+    legend_below(figure, handles, f"{value} that 50 % of the runs have reached, and 25 to 75 % of them")
     return figure
 
 

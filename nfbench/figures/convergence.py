@@ -65,7 +65,8 @@ def convergence_figure(study: Drawn, how: Drawing) -> Figure:
     in_colour = table[table["method"].isin(study.coloured)]
     banded = in_colour.groupby("formulation")["method"].nunique().min() <= BAND
     quartiles = " and quartiles" if banded else ""
-    note = f"Median{quartiles} over scenes of the gap to the best known value"
+    origin = study.evidence.origin_of_gaps(runs["run_id"])
+    note = f"Median{quartiles} over scenes of the gap to the {origin}"
     legend_below(figure, method_handles(study, joined=True, names=set(table["method"])), note)
     return figure
 

@@ -19,7 +19,7 @@ from .drawing import Drawing
 from .error import headed, method_handles
 from .labels import plain
 from .style import GREY, WIDTHS
-from .target_axes import AXIS_LABELS, axis_of, hits_on, reached, target_of
+from .target_axes import AXIS_LABELS, axis_of, gap_note, hits_on, reached, target_of
 
 __all__ = ["distribution_figure"]
 
@@ -60,7 +60,8 @@ def distribution_figure(study: Drawn, how: Drawing) -> Figure:
     labels = list(dict.fromkeys(hits["target"]))
     listed = "; ".join(labels[:LISTED]) + (f"; and {len(labels) - LISTED} more" if len(labels) > LISTED else "")
     note = "Share of runs and targets" if several else "Share of runs"
-    legend_below(figure, handles, f"{note}: {listed}{f' ({unreached})' if unreached else ''}")
+    remarks = "; ".join(text for text in (gap_note(study, hits), unreached) if text)
+    legend_below(figure, handles, f"{note}: {listed}{f' ({remarks})' if remarks else ''}")
     return figure
 
 

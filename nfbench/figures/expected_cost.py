@@ -18,7 +18,7 @@ from .drawing import Drawing, NotDrawnError
 from .error import heading
 from .labels import plain, short
 from .style import GREY, WIDTHS
-from .target_axes import axis_of, hits_on, reached, target_of
+from .target_axes import axis_of, gap_note, hits_on, reached, target_of
 
 __all__ = ["ert_figure"]
 
@@ -61,7 +61,8 @@ def ert_figure(study: Drawn, how: Drawing) -> Figure:
     axes[0].set_yticks(range(len(order)), [short(name, NAME[how.width]) for name in order])
     axes[0].set_ylim(len(order) - 0.4, -0.6)
     unit = "seconds" if axis == "seconds" else "evaluations"
-    note = f"\n({unreached})" if unreached else ""
+    remarks = "; ".join(text for text in (gap_note(study, hits), unreached) if text)
+    note = f"\n({remarks})" if remarks else ""
     figure.supxlabel(plain(f"Expected {unit} until {target.label if target else ''}{note}"), fontsize=7.5)
     return figure
 

@@ -12,7 +12,7 @@ from nfbench.core import NfbenchError
 from .data import Drawn
 from .drawing import Drawing, NotDrawnError
 
-__all__ = ["AXIS_LABELS", "axis_of", "hits_on", "reached", "target_of"]
+__all__ = ["AXIS_LABELS", "axis_of", "gap_note", "hits_on", "reached", "target_of"]
 
 AXIS_LABELS: dict[Axis, str] = {
     "evaluations": "Evaluations",
@@ -40,6 +40,13 @@ def target_of(study: Drawn, wanted: int | str | None) -> Target | None:
             return target
     known = ", ".join(f"{number} ({target.label})" for number, target in enumerate(targets, start=1))
     raise NfbenchError(f"target: expected one of {known}, got {text!r}")
+
+
+def gap_note(study: Drawn, hits: pd.DataFrame) -> str:
+    """What gaps are measured from, for the end of a sentence about the targets; empty if none of them is a gap."""
+    labels = [target.label for target in study.evidence.targets if target.kind == "gap"]
+    gaps = hits[hits["target"].isin(labels)]
+    return f"gap to the {study.evidence.origin_of_gaps(gaps['run_id'])}" if len(gaps) else ""
 
 
 def hits_on(study: Drawn, axis: Axis, target: Target | None) -> pd.DataFrame:

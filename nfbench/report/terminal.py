@@ -16,6 +16,8 @@ from nfbench.analysis import Block, Outcomes, Ranking, default_groups, sentences
 from nfbench.core import Status, printable
 from nfbench.results import Comparison, Results
 
+from .proofs import print_proofs
+
 __all__ = ["number_text", "print_comparison", "print_report", "shown", "summary_table"]
 
 SHOWN = 20  # maximum number of differing runs that are printed
@@ -27,7 +29,7 @@ DISPENSABLE = (  # columns that are dropped first, in this order, on a narrow te
 
 
 def print_report(results: Results, console: Console) -> None:
-    """Print the table and the verdict of each swept point and of all of them, the claims, and every kind of failure."""
+    """Print the table and verdict of each swept point and of all of them, the claims, the proofs, and the failures."""
     meta, evidence = results.meta, results.evidence()
     runs, summary = evidence.runs, results.summary()
     if runs.empty:
@@ -60,6 +62,7 @@ def print_report(results: Results, console: Console) -> None:
             console.print(summary_table(title, rows, meta["error"], float(meta["outlier_m"]), console))
         console.print(shown(evidence.unranked))
     _print_claims(evidence.claims(), console)
+    print_proofs(evidence.references, results.reference_counts.get("open", 0), console)
     _print_failures(runs, console)
 
 

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from .export_as_parquet import export_parquet
     from .hits import Hits, Progress, find_hits, find_progress, targets_of
     from .merging import merge, missing_shards
+    from .references import label_of
 
 __all__ = [
     "Comparison",
@@ -36,6 +37,7 @@ __all__ = [
     "find_hits",
     "find_progress",
     "from_cell",
+    "label_of",
     "locked",
     "merge",
     "missing_shards",
@@ -58,6 +60,7 @@ _MODULES = {
     "export_csv": "export_as_csv",
     "export_ioh": "export_as_ioh",
     "export_parquet": "export_as_parquet",
+    "label_of": "references",
     "merge": "merging",
     "missing_shards": "merging",
 }

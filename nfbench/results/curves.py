@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
-from typing import Any, Literal, final
+from typing import Literal, final
 
 import numpy as np
 import pandas as pd
@@ -15,6 +15,7 @@ from nfbench.core import Instance, Status, Trace
 
 from .reader import Reader
 from .redrawing import Redrawing
+from .references import Key, problems, proofs
 from .rows import TracedRun
 
 __all__ = ["Curve", "Curves", "scenes_of"]
@@ -54,14 +55,17 @@ def scenes_of(runs: pd.DataFrame) -> tuple[ndarray, ndarray]:
 
 @final
 class Curves:
-    """The curves of all runs of a folder; ``notes`` is complete when all have been yielded.
+    """The curves of all runs of a folder; ``notes`` and ``bests`` are complete when all have been yielded.
 
     runs: the frame of runs. error: name of the error measure. redrawing: scenes of the folder. measures: which curves
     are wanted.
 
-    The gap is measured from the reference optimum of the run's first problem: its known minimum, else the best value
-    that any run has found for it. Runs with the same formulation share that problem if they are of the same scene at
-    the same point of the sweep.
+    The gap is measured from the reference optimum of the run's first problem: its known minimum, else its certified
+    optimum, else the best value that any run or an unfinished proof has found for it. A certified optimum that a run
+    contradicts counts as not certified. Runs with the same formulation share that problem if they are of the same scene
+    at the same point of the sweep.
+
+    bests: best value of each run's first problem, (runs,), also of runs that are not ok; NaN where there is none.
     """
 
     def __init__(
@@ -79,22 +83,17 @@ class Curves:
         self._final = _column(runs, error)
         self._evaluations, self._runtime_s = _column(runs, "evaluations"), _column(runs, "runtime_s")
         self._seed = runs["instance_seed"].to_numpy()
-        self._scene = scenes_of(runs)[0]
         self._optimum = _column(runs, "optimum")
-        self._problem = self._problems(runs)
+        self._problem = problems(runs)
+        self._proofs = proofs(results.references)
+        self.bests = np.full(len(runs), np.nan)
         self._left = Counter(problem for problem, ok in zip(self._problem, self._ok, strict=True) if ok)
-        self._known: dict[tuple[Any, ...], float] = {}
+        self._known: dict[Key, float] = {}
         for i in np.flatnonzero(np.isfinite(self._optimum)):
             self._known.setdefault(self._problem[i], float(self._optimum[i]))
-        self._waiting: dict[tuple[Any, ...], list[tuple[int, Trace]]] = {}
+        self._waiting: dict[Key, list[tuple[int, Trace]]] = {}
         self._odd: dict[str, set[str]] = {}
         self._damaged = 0
-
-    def _problems(self, runs: pd.DataFrame) -> list[tuple[Any, ...]]:
-        """The identity of each run's first problem: point of the sweep, scene and formulation."""
-        swept = [name for name in runs.columns if name.startswith("scenario.")]
-        columns = [runs[name].tolist() for name in [*swept, "instance_seed", "formulation"]]
-        return [(*parts, scene) for *parts, scene in zip(*columns, self._scene.tolist(), strict=True)]
 
     @property
     def notes(self) -> list[str]:
@@ -110,6 +109,8 @@ class Curves:
         for run in self._results.traced_runs(lenient=True):
             row = self._row.get(run.run_id)
             self._damaged += bool(run.damage)
+            if row is not None and run.traces and len(run.traces[0]) and run.status != Status.INVALID:
+                self.bests[row] = run.traces[0].values[-1]
             if row is None or not self._ok[row]:
                 continue
             instance = self._instance(run, row)
@@ -117,11 +118,11 @@ class Curves:
                 yield self._error_curve(row, run, instance)
             if "gap" in self._measures:
                 yield from self._gap_curves(row, run, instance)
-        for waiting in self._waiting.values():  # of runs that have been forgotten since the frame was read
-            yield from _gaps(waiting, _best(waiting))
+        for problem, waiting in self._waiting.items():  # of runs that have been forgotten since the frame was read
+            yield from _gaps(waiting, self._reference(problem, waiting))
 
     def _instance(self, run: TracedRun, row: int) -> Instance | None:
-        needed = "error" in self._measures or self._problem[row] not in self._known
+        needed = "error" in self._measures or not self._is_known(self._problem[row])
         if len(run.traces) != 1 or not needed or "" in self._redrawing.reasons:
             return None
         return self._redrawing.instance(run.swept, int(self._seed[row]))
@@ -147,7 +148,7 @@ class Curves:
         self._left[problem] -= 1
         if run.traces and len(run.traces[0]):
             trace = run.traces[0]
-            if problem not in self._known:
+            if not self._is_known(problem):
                 minimum = self._redrawing.minimum(instance, trace)
                 if minimum is not None:
                     self._known[problem] = minimum
@@ -157,9 +158,15 @@ class Curves:
             waiting = self._waiting.pop(problem, [])
             yield from _gaps(waiting, self._reference(problem, waiting))
 
-    def _reference(self, problem: tuple[Any, ...], waiting: list[tuple[int, Trace]]) -> float:
-        """The reference optimum: the known minimum, else the best value of all runs. A certificate would come first."""
-        return self._known[problem] if problem in self._known else _best(waiting)
+    def _is_known(self, problem: Key) -> bool:
+        return problem in self._known or (problem in self._proofs and self._proofs[problem].certified)
+
+    def _reference(self, problem: Key, waiting: list[tuple[int, Trace]]) -> float:
+        """The reference optimum of a problem, given all runs that share it."""
+        if problem in self._known:
+            return self._known[problem]
+        best = _best(waiting)
+        return self._proofs[problem].reference(best) if problem in self._proofs else best
 
 
 def _best(waiting: list[tuple[int, Trace]]) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Collection
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -24,6 +25,7 @@ from nfbench.study import Claim, claim_of
 
 from .hits import Hits, find_hits, targets_of
 from .reader import Reader
+from .references import judged, origin_of_gaps, with_optimum
 
 __all__ = ["Evidence"]
 
@@ -66,15 +68,32 @@ class Evidence:
     def table(self) -> pd.DataFrame:
         """The runs with their distance from the best possible: the columns of ``runs.csv``.
 
-        ``gap``, of the run's first problem, is added unless the scenario has a score of that name, and
-        ``error_in_bounds`` where there is a bound.
+        ``optimum`` is the certified one where no minimum is known. ``gap``, of the run's first problem, is added unless
+        the scenario has a score of that name, and ``error_in_bounds`` where there is a bound.
         """
-        runs, gaps = self.runs, self.hits.gaps
+        runs, gaps = with_optimum(self.runs, self.references), self.hits.gaps
         if "gap" not in runs.columns and gaps is not None and np.isfinite(gaps).any():
             runs = runs.assign(gap=gaps)
         if {"crb_m", "rmse_m"} <= set(runs.columns):
             runs = runs.assign(error_in_bounds=runs["rmse_m"] / runs["crb_m"])
         return runs
+
+    @cached_property
+    def references(self) -> pd.DataFrame:
+        """The proofs of optima with what the runs say about them: the columns of ``references.csv``."""
+        references = self.results.references
+        bests = self.hits.bests if len(references) else None
+        return judged(references, self.runs, np.full(len(self.runs), np.nan) if bests is None else bests)
+
+    @property
+    def contradictions(self) -> pd.DataFrame:
+        """The rows of ``references`` whose certified optimum is wrong, because a run has found a better value."""
+        return self.references[self.references["contradicted_by"] != ""]
+
+    def origin_of_gaps(self, run_ids: Collection[str] | None = None) -> str:
+        """What the gaps of some runs are measured from: "known minimum", "proven optimum" or "best known value"."""
+        own = self.runs["run_id"].isin(self.runs["run_id"] if run_ids is None else list(run_ids)).to_numpy()
+        return origin_of_gaps(self.runs[own], self.table[own])
 
     def target_table(self) -> pd.DataFrame:
         """One row per swept point, method and target."""

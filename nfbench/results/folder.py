@@ -23,7 +23,7 @@ _MARKS = ("runs.sqlite", "runs.csv", "study.log", "tuning.json", "trials.csv")  
 _READ = ("manifest.toml", "environment.json", "study.log", "trials.csv", "tuning.json")  # before they are written
 _OWN = re.compile(
     r"runs\.sqlite(-wal|-shm|-journal)?|(runs|summary|targets|ranking|traces|trials)\.csv|manifest\.toml|study\.log|"
-    r"claims\.csv|hits\.npz|(environment|tuning)\.json|tuned\.toml|report\.html|export-ioh|\.lock|[\w.-]+\.(svg|pdf|png)"
+    r"(claims|references)\.csv|hits\.npz|(environment|tuning)\.json|tuned\.toml|report\.html|export-ioh|\.lock|[\w.-]+\.(svg|pdf|png)"
 )
 _DRAFT = re.compile(r"\.(?P<name>.+)\.(?P<process>\d+)")
 

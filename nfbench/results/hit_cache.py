@@ -20,7 +20,7 @@ __all__ = ["FILE", "Found", "read", "write"]
 
 FILE = "hits.npz"
 _LARGEST = 2**30  # bytes
-_KINDS = {"kept": "b", "hit": "b", "evaluations": "f", "seconds": "f", "spent": "f", "gap": "f"}
+_KINDS = {"kept": "b", "hit": "b", "evaluations": "f", "seconds": "f", "spent": "f", "gap": "f", "best": "f"}
 
 
 @dataclass
@@ -33,6 +33,7 @@ class Found:
     seconds: seconds to the hit; inf without one.
     spent: evaluations at the end of the run on the problems that the target is about.
     gap: gap of the run's first problem at its end, (runs,); NaN where there is none.
+    best: best value of the run's first problem, (runs,), also of runs that are not ok; NaN where there is none.
     notes: sentences about what could not be computed along the traces.
     reasons: what was not available, as in ``Redrawing.reasons``.
     """
@@ -43,6 +44,7 @@ class Found:
     seconds: ndarray
     spent: ndarray
     gap: ndarray
+    best: ndarray
     notes: list[str] = field(default_factory=list)
     reasons: dict[str, str] = field(default_factory=dict)
 
@@ -51,7 +53,8 @@ class Found:
         """No hit of any run."""
         shape = (runs, targets)
         kept, hit = np.ones(shape, dtype=bool), np.zeros(shape, dtype=bool)
-        return cls(kept, hit, np.full(shape, np.inf), np.full(shape, np.inf), np.zeros(shape), np.full(runs, np.nan))
+        never, nothing = np.full(shape, np.inf), np.full(runs, np.nan)
+        return cls(kept, hit, never, never.copy(), np.zeros(shape), nothing, nothing.copy())
 
 
 def read(folder: Path, key: str, shape: tuple[int, int]) -> Found | None:
@@ -65,7 +68,7 @@ def read(folder: Path, key: str, shape: tuple[int, int]) -> Found | None:
             if head["key"] != key:
                 return None
             found = {name: arrays[name] for name in _KINDS}
-        shapes = {name: shape[:1] if name == "gap" else shape for name in _KINDS}
+        shapes = {name: shape[:1] if name in ("gap", "best") else shape for name in _KINDS}
         if any(found[name].shape != shapes[name] or found[name].dtype.kind != _KINDS[name] for name in _KINDS):
             return None
         notes, reasons = head["notes"], head["reasons"]

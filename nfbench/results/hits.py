@@ -6,7 +6,6 @@ import hashlib
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -21,10 +20,11 @@ from . import hit_cache
 from .curves import Curve, Curves, scenes_of
 from .reader import Reader
 from .redrawing import Redrawing
+from .references import canonical
 
 __all__ = ["GRADIENT_COST", "Hits", "Progress", "find_hits", "find_progress", "targets_of"]
 
-VERSION = 2  # of what is computed here; a file of another version is recomputed
+VERSION = 3  # of what is computed here; a file of another version is recomputed
 GRADIENT_COST = 1.3  # evaluations that a gradient adds; measured 0.9 to 1.8 on ESF and RLS (16 to 128 elements)
 KILLED = (Status.TIMEOUT, Status.CRASHED)  # whose evaluations are not known
 
@@ -35,7 +35,8 @@ class Hits:
 
     frame: one row per run and target, with the columns below. notes: sentences about what is known only at the end of a
     run, and about scenes and targets that are left out. gaps: gap of each run's first problem at its end, in the order
-    of the runs; NaN for runs that are not ok or minimize no problem.
+    of the runs; NaN for runs that are not ok or minimize no problem. bests: best value of each run's first problem, in
+    the same order, also of runs that are not ok; NaN where there is none.
 
     * ``run_id``, ``method``, ``scene``, ``run``, and the swept keys.
     * ``target``: label of the target; ``number``: its position in the list, from 0.
@@ -54,6 +55,7 @@ class Hits:
     frame: pd.DataFrame
     notes: tuple[str, ...] = ()
     gaps: ndarray | None = None
+    bests: ndarray | None = None
 
 
 @dataclass(frozen=True)
@@ -108,7 +110,7 @@ def find_hits(
     targets = targets_of(results, runs) if targets is None else tuple(targets)
     error, runs = meta["error"], _with_budgets(runs, meta)
     redrawing = Redrawing(results.folder)
-    key = _key(results.folder, runs, targets, error)
+    key = _key(results, runs, targets, error)
     shape = (len(runs), len(targets))
     found = hit_cache.read(results.folder, key, shape) if cached else None
     if found is not None and found.reasons and found.reasons != redrawing.reasons:
@@ -117,7 +119,7 @@ def find_hits(
         found = _found(results, runs, targets, error, redrawing)
         if cached:
             hit_cache.write(results.folder, key, found)
-    return Hits(_frame(runs, targets, found, gradient_cost), tuple(found.notes), found.gap)
+    return Hits(_frame(runs, targets, found, gradient_cost), tuple(found.notes), found.gap, found.best)
 
 
 def find_progress(
@@ -179,6 +181,7 @@ def _found(
         for j, target in enumerate(targets):
             if (target.kind == "gap") == (curve.measure == "gap"):
                 _enter(curve, j, target, float(bounds[curve.row]), found)
+    found.best = curves.bests
     found.notes += curves.notes
     found.reasons = dict(redrawing.reasons) if measures - {"gap"} or found.notes else {}
     return found
@@ -320,13 +323,14 @@ def _largest(values: ndarray, groups: list[pd.Series]) -> ndarray:
     return series.groupby(groups, dropna=False).transform("max").to_numpy(dtype=np.float64)
 
 
-def _key(folder: Path, runs: pd.DataFrame, targets: Sequence[Target], error: str) -> str:
+def _key(results: Reader, runs: pd.DataFrame, targets: Sequence[Target], error: str) -> str:
     """A hash of everything that decides the hits, except for libraries that plugins need."""
     names = ["run_id", "status", "evaluations", "runtime_s", "objective", "instance_seed", error, "crb_m", "optimum"]
     names += ["formulation", "method", "scene", "run", *swept_columns(runs)]
     columns = runs[[name for name in dict.fromkeys(names) if name in runs.columns]]
     found = hashlib.sha256(pd.util.hash_pandas_object(columns, index=False).to_numpy().tobytes())
-    manifest = folder / "manifest.toml"
+    found.update(canonical(results.references).encode())
+    manifest = results.folder / "manifest.toml"
     found.update(manifest.read_bytes() if manifest.is_file() else b"")
     registry = Registry.present()
     plugins = [

@@ -17,7 +17,7 @@ from .damage import Damaged
 from .folder import whole_folder, write_whole
 from .rescue import Rescue
 from .results import Results
-from .schema import PLAN_COLUMNS, RESULT_COLUMNS, marks
+from .schema import PLAN_COLUMNS, PROOF_COLUMNS, REFERENCE_COLUMNS, RESULT_COLUMNS, marks
 from .store import FILE, Store
 
 __all__ = ["merge", "missing_shards"]
@@ -87,6 +87,8 @@ def _fill(store: Store, folders: Iterable[Path], warn: Callable[[str], object]) 
                     _take_properties(store, db, other.meta)
                     _take_plan(db, other.plan_rows())
                     _take_results(db, folder, other.result_rows())
+                    _take_proofs(db, other.references.plan_rows())
+                    _take_references(db, folder, other.references.rows())
             except Damaged as damage:
                 _rescue(store, db, folder, damage, warn)
 
@@ -98,6 +100,8 @@ def _rescue(store: Store, db: sqlite3.Connection, folder: Path, damage: Damaged,
     _take_properties(store, db, found.meta)
     _take_plan(db, iter(found.plan.values()))
     db.executemany(f"INSERT OR IGNORE INTO results VALUES ({marks(len(RESULT_COLUMNS))})", found.rows())
+    _take_proofs(db, found.proofs.values())
+    _put_references(db, found.references.values())
     reason = str(damage).partition("; ")[0]
     lost = f"{found.lost} or more are lost" if found.lost else "none is known to be lost"
     if found.blanked:
@@ -143,6 +147,31 @@ def _take_results(db: sqlite3.Connection, folder: Path, rows: Iterable[tuple[Any
                 f"{folder} cannot be merged: its result of run {row[0]} ({row[1]}, objective {row[3]}) differs from "
                 f"that in the previous folders ({present[1]}, objective {present[3]}); nothing was written"
             )
+
+
+def _take_proofs(db: sqlite3.Connection, rows: Iterable[tuple[Any, ...]]) -> None:
+    db.executemany(f"INSERT OR IGNORE INTO reference_plan VALUES ({marks(len(PROOF_COLUMNS))})", rows)
+
+
+def _put_references(db: sqlite3.Connection, rows: Iterable[tuple[Any, ...]]) -> None:
+    """Take over proofs of optima, except those that are there."""
+    db.executemany(f"INSERT OR IGNORE INTO reference_optima VALUES ({marks(len(REFERENCE_COLUMNS))})", rows)
+
+
+def _take_references(db: sqlite3.Connection, folder: Path, rows: Iterable[tuple[Any, ...]]) -> None:
+    for row in rows:
+        present = db.execute("SELECT * FROM reference_optima WHERE reference_id = ?", row[:1]).fetchone()
+        if present is not None and _proven(present) != _proven(row):
+            raise StoreError(
+                f"{folder} cannot be merged: its proven optimum {row[0]} ({row[1]}, value {row[3]}) differs from that "
+                f"in the previous folders ({present[1]}, value {present[3]}); nothing was written"
+            )
+        _put_references(db, [row])
+
+
+def _proven(row: tuple[Any, ...]) -> tuple[Any, ...]:
+    """What must be equal in two executions of one proof: status, value, gap, certified, step, columns, point."""
+    return (row[1], *row[3:9])
 
 
 def _computed(row: tuple[Any, ...]) -> tuple[Any, ...]:

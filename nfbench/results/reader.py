@@ -26,6 +26,10 @@ class Reader(Protocol):
         """One row per finished run, in the study's order."""
 
     @property
+    def references(self) -> pd.DataFrame:
+        """One row per finished proof of an optimum."""
+
+    @property
     def meta(self) -> dict[str, str]:
         """The properties of the study, as text."""
 

@@ -9,13 +9,16 @@ from typing import Any, final
 
 from .carving import carved
 from .damage import Damaged, guarded, remedy
-from .schema import PLAN_COLUMNS, RESULT_COLUMNS
+from .schema import PLAN_COLUMNS, PROOF_COLUMNS, REFERENCE_COLUMNS, RESULT_COLUMNS
 from .values import checked_row, unpacked
 
 __all__ = ["Rescue"]
 
 _LENGTHS = (len(RESULT_COLUMNS) - 1, len(RESULT_COLUMNS))  # files of schema 1 lack the last column
-_KEYS = ("name", "seed", "shard", "shards", "title", "expect", "error", "outlier_m", "plan", "runs", "tabled")
+_KEYS = (
+    *("name", "seed", "shard", "shards", "title", "expect", "error", "outlier_m", "plan", "runs", "tabled"),
+    "reference",
+)
 _BLANK: dict[str, Any] = {  # what a rescued result can do without, and what stands in its place
     "message": "", "runtime_s": None, "cpu_s": None, "traces": b"", "host": "", "worker": 0, "finished": None
 }  # fmt: skip
@@ -28,6 +31,7 @@ class Rescue:
     meta: the properties of the study that can be read.
     plan: rows of this table by ordinal, in which every value is possible.
     results: when each result was computed, by run; of several results of a run, the last.
+    proofs, references: rows of ``reference_plan`` by ordinal, and of ``reference_optima`` by identity.
     blanked: runs of which something was damaged that no table needs, and is left out: the message, times, traces.
 
     Raises Damaged if nothing can be read.
@@ -39,6 +43,8 @@ class Rescue:
         self.plan: dict[int, tuple[Any, ...]] = {}
         self.results: dict[str, float] = {}
         self.blanked: set[str] = set()
+        self.proofs: dict[int, tuple[Any, ...]] = {}
+        self.references: dict[str, tuple[Any, ...]] = {}
         self._bad: set[str] = set()
         with guarded(path):
             for rowid, row in carved(path):
@@ -49,7 +55,7 @@ class Rescue:
     @property
     def lost(self) -> int:
         """The least number of results that cannot be read."""
-        tabled = self.meta.get("tabled", "")
+        tabled = self.meta.get("tabled", "").partition(" ")[0]  # the number of proofs follows that of runs
         finished = int(tabled) if tabled.isdecimal() and len(tabled) < 10 else 0
         return max(len(self._bad - set(self.results)), finished - len(self.results))
 
@@ -74,6 +80,15 @@ class Rescue:
             with contextlib.suppress(ValueError):
                 checked_row("plan", PLAN_COLUMNS, (rowid, *row[1:]))
                 self.plan[rowid] = (rowid, *row[1:])
+        elif rowid is not None and len(row) == len(PROOF_COLUMNS):
+            with contextlib.suppress(ValueError):
+                checked_row("reference_plan", PROOF_COLUMNS, (rowid, *row[1:]))
+                self.proofs[rowid] = (rowid, *row[1:])
+        elif rowid is None and len(row) == len(REFERENCE_COLUMNS):
+            with contextlib.suppress(ValueError):
+                checked_row("reference_optima", REFERENCE_COLUMNS, row)
+                if (row[-1] or 0.0) >= (self.references.get(row[0], row)[-1] or 0.0):
+                    self.references[row[0]] = row
         elif rowid is None and len(row) == 2 and row[0] in _KEYS and isinstance(row[1], str):
             self.meta[row[0]] = row[1]
         elif rowid is None and len(row) in _LENGTHS and isinstance(row[0], str):

@@ -88,6 +88,32 @@ class Results:
         return pd.concat(frames, ignore_index=True) if frames else pd.DataFrame(columns=columns)
 
     @property
+    def references(self) -> pd.DataFrame:
+        """One row per finished proof of an optimum, in the study's order; empty in studies without ``[reference]``.
+
+        The columns are those of ``references.csv`` without ``best_found`` and ``contradicted_by``, which need the runs;
+        ``reference_table`` has them.
+        """
+        from .references import reference_frame
+
+        with Store(self.folder) as store:
+            rows = list(store.references.finished())
+            with guarded(store.path):
+                return reference_frame(rows)
+
+    @property
+    def reference_counts(self) -> dict[str, int]:
+        """Number of proofs of optima by status; ``open`` counts those without a result yet."""
+        with Store(self.folder) as store:
+            return store.references.counts()
+
+    @property
+    def reference_failures(self) -> list[tuple[str, str, int, str]]:
+        """(status, formulation, number, one of their messages) of the proofs of optima that are not ok."""
+        with Store(self.folder) as store:
+            return store.references.failures()
+
+    @property
     def meta(self) -> dict[str, str]:
         """Name, seed, shard, title, expectation, error measure and outlier threshold [m] of the study, as text."""
         with Store(self.folder) as store:
@@ -152,6 +178,15 @@ class Results:
         """One row per swept point, method and target: the columns of ``targets.csv``."""
         return self.evidence().target_table()
 
+    def reference_table(self) -> pd.DataFrame:
+        """One row per proof of an optimum, and whether a run contradicts it: the columns of ``references.csv``."""
+        return self.evidence().references
+
+    def contradictions(self) -> pd.DataFrame:
+        """The rows of ``reference_table`` whose certified optimum is wrong: a run has found a better value."""
+        references = self.references
+        return self.evidence().contradictions if references["certified"].any() else references[:0]
+
     def ranking(self) -> Ranking:
         """The ranking of the methods at each swept point and over all of them; its frame is ``ranking.csv``."""
         return self.evidence().ranking
@@ -177,10 +212,10 @@ class Results:
         return Evidence(self, self.runs if runs is None else runs)
 
     def write_tables(self) -> None:
-        """Write ``runs.csv``, ``summary.csv``, ``targets.csv``, ``ranking.csv``, and with claims ``claims.csv``.
+        """Write ``runs.csv``, ``summary.csv``, ``targets.csv`` and ``ranking.csv``.
 
-        Each replaces the old one only when it is complete. Text that other programs would misread is written as
-        ``csv_text`` does.
+        With claims also ``claims.csv`` is written, and with proofs of optima ``references.csv``. Each replaces the old
+        one only when it is complete. Text that other programs would misread is written as ``csv_text`` does.
         """
         evidence = self.evidence()
         with np.errstate(all="ignore"):  # scores may be infinite
@@ -190,13 +225,15 @@ class Results:
             self._write_table("ranking", evidence.ranking.frame)
             if len(claims := evidence.claims()):
                 self._write_table("claims", claims)
+            if len(evidence.references):
+                self._write_table("references", evidence.references)
 
     def _write_table(self, name: str, frame: pd.DataFrame) -> None:
         text = csv_frame(frame)
         write_whole(self.folder / f"{name}.csv", lambda path: text.to_csv(path, index=False))
 
     def has_tables(self) -> bool:
-        """Whether the tables exist, except for ``claims.csv``, which not every study has."""
+        """Whether the tables exist that every study has."""
         return all((self.folder / f"{name}.csv").is_file() for name in TABLES)
 
     def _summary(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import time
 from dataclasses import dataclass
 from typing import Any
@@ -12,7 +13,7 @@ from nfbench.study import RunRecord, RunSpec
 
 from .values import packed
 
-__all__ = ["TracedRun", "plan_row", "result_row"]
+__all__ = ["TracedRun", "plan_row", "proof_row", "reference_row", "result_row"]
 
 
 @dataclass(frozen=True)
@@ -50,4 +51,23 @@ def result_row(record: RunRecord) -> tuple[Any, ...]:
         record.run_id, str(record.status), record.message, record.objective, record.evaluations, record.runtime_s,
         record.cpu_s, json.dumps(scores), json.dumps(record.estimate), packed(record.traces), record.host,
         record.worker, time.time(),
+    )  # fmt: skip
+
+
+def proof_row(ordinal: int, scene: int, spec: RunSpec) -> tuple[Any, ...]:
+    """The row of ``reference_plan`` of a proof at this position."""
+    return (
+        ordinal, spec.run_id, spec.point.scenario.label, spec.method.formulation.label, scene,
+        json.dumps(spec.point.swept), spec.instance_seed,
+    )  # fmt: skip
+
+
+def reference_row(record: RunRecord) -> tuple[Any, ...]:
+    """The row of ``reference_optima`` of a proof that is finished now; one that failed proves nothing."""
+    columns = {name: repr(value) for name, value in record.scores.items() if name not in ("gap", "certified", "step")}
+    gap, certified = record.scores.get("gap", math.inf), int(record.scores.get("certified", 0.0))
+    return (
+        record.run_id, str(record.status), record.message, record.objective, gap, certified,
+        int(record.scores.get("step", 0.0)), json.dumps(columns), json.dumps(record.estimate), record.runtime_s,
+        record.cpu_s, record.host, record.worker, time.time(),
     )  # fmt: skip

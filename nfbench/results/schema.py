@@ -9,9 +9,19 @@ from nfbench.core import StoreError
 
 from .damage import Damaged, patiently, remedy
 
-__all__ = ["PLAN_COLUMNS", "RESULT_COLUMNS", "SCHEMA", "bring_up_to_date", "check_to_read", "marks"]
+__all__ = [
+    "PLAN_COLUMNS",
+    "PROOF_COLUMNS",
+    "REFERENCE_COLUMNS",
+    "RESULT_COLUMNS",
+    "SCHEMA",
+    "bring_up_to_date",
+    "check_to_read",
+    "marks",
+]
 
-SCHEMA = 2
+SCHEMA = 3
+READABLE = 2  # the oldest schema that can be read without being updated
 _TABLES = {
     "meta": "CREATE TABLE IF NOT EXISTS meta (key TEXT PRIMARY KEY, value TEXT NOT NULL) WITHOUT ROWID",
     "plan": (
@@ -26,6 +36,18 @@ _TABLES = {
         "    cpu_s REAL, scores TEXT, estimate TEXT, traces BLOB, host TEXT, worker INTEGER, finished REAL) "
         "WITHOUT ROWID"
     ),
+    "reference_plan": (
+        "CREATE TABLE IF NOT EXISTS reference_plan (\n"
+        "    ordinal INTEGER PRIMARY KEY, reference_id TEXT NOT NULL, scenario TEXT, formulation TEXT, scene INTEGER,\n"
+        "    swept TEXT, instance_seed INTEGER)"
+    ),
+    "reference_optima": (
+        "CREATE TABLE IF NOT EXISTS reference_optima (\n"
+        "    reference_id TEXT PRIMARY KEY, status TEXT NOT NULL, message TEXT, value REAL, gap REAL, "
+        "certified INTEGER, step INTEGER,\n"
+        "    columns TEXT, point TEXT, seconds REAL, cpu_s REAL, host TEXT, worker INTEGER, finished REAL) "
+        "WITHOUT ROWID"
+    ),
 }
 PLAN_COLUMNS = (
     *("ordinal", "run_id", "scenario", "formulation", "solver", "method", "repetition", "swept", "instance_seed"),
@@ -35,9 +57,21 @@ RESULT_COLUMNS = (
     *("run_id", "status", "message", "objective", "evaluations", "runtime_s", "cpu_s", "scores", "estimate", "traces"),
     *("host", "worker", "finished"),
 )
-_COLUMNS = {"meta": ("key", "value"), "plan": PLAN_COLUMNS, "results": RESULT_COLUMNS}
+PROOF_COLUMNS = ("ordinal", "reference_id", "scenario", "formulation", "scene", "swept", "instance_seed")
+REFERENCE_COLUMNS = (  # of another number than those of ``results``, so that rows in damaged files can be told apart
+    *("reference_id", "status", "message", "value", "gap", "certified", "step", "columns", "point", "seconds"),
+    *("cpu_s", "host", "worker", "finished"),
+)
+_COLUMNS = {
+    "meta": ("key", "value"),
+    "plan": PLAN_COLUMNS,
+    "results": RESULT_COLUMNS,
+    "reference_plan": PROOF_COLUMNS,
+    "reference_optima": REFERENCE_COLUMNS,
+}
 _ADDED = {"finished": 2}  # columns that older schemas lack → schema that added them
-_MIGRATIONS = {  # SQL that brings a file from this schema to the next one
+_ADDED_TABLES = {"reference_plan": 3, "reference_optima": 3}
+_MIGRATIONS = {  # SQL that brings a file from this schema to the next one, besides creating tables
     1: "ALTER TABLE results ADD COLUMN finished REAL",
 }
 
@@ -52,8 +86,8 @@ def check_to_read(db: sqlite3.Connection, path: Path) -> None:
         )
     if schema > SCHEMA:
         raise StoreError(f"{path}: expected schema {SCHEMA}, found {schema}; a newer nfbench wrote it: update nfbench")
-    if schema != SCHEMA:
-        raise StoreError(f"{path}: expected schema {SCHEMA}, found {schema}; `nfbench run` can update it")
+    if schema < READABLE:
+        raise StoreError(f"{path}: expected schema {READABLE} to {SCHEMA}, found {schema}; `nfbench run` can update it")
 
 
 def bring_up_to_date(db: sqlite3.Connection, path: Path, wait_s: float) -> None:
@@ -65,7 +99,7 @@ def bring_up_to_date(db: sqlite3.Connection, path: Path, wait_s: float) -> None:
         )
     if schema == SCHEMA and db.execute("SELECT 1 FROM meta WHERE key = 'schema'").fetchone():
         return
-    steps = [_MIGRATIONS[step] for step in range(schema or SCHEMA, SCHEMA)]
+    steps = [_MIGRATIONS[step] for step in range(schema or SCHEMA, SCHEMA) if step in _MIGRATIONS]
     with db:
         patiently(db, path, wait_s, "BEGIN IMMEDIATE")
         for step in [*steps, *_TABLES.values()]:
@@ -93,6 +127,9 @@ def _schema(db: sqlite3.Connection, path: Path) -> int | None:
         return stored  # of a newer nfbench, whose tables may differ
     oldest = SCHEMA
     for table, expected in _COLUMNS.items():
+        if table not in kinds and table in _ADDED_TABLES:
+            oldest = min(oldest, _ADDED_TABLES[table] - 1)
+            continue
         if table not in kinds:
             raise _damaged(path, f"the table {table} is missing")
         found = [str(row[1]) for row in db.execute(f"PRAGMA table_info({table})")]

@@ -15,6 +15,7 @@ from nfbench.study import RunRecord, Study
 
 from .damage import Damaged, guarded, patiently, remedy
 from .folder import FolderLock, clean, locked, network_file_system
+from .reference_table import ReferenceTable
 from .rows import TracedRun, plan_row, result_row
 from .schema import PLAN_COLUMNS, RESULT_COLUMNS, bring_up_to_date, check_to_read, marks
 from .values import checked_row, inflated, is_positive, settings, unpacked
@@ -39,7 +40,8 @@ class Store:
     """The rows and traces in one study's folder.
 
     The table ``plan`` holds the runs that the manifest describes now, in order. The table ``results`` holds every
-    result ever computed in this folder. Readers see the results of runs in the plan. Any number of processes may open
+    result ever computed in this folder. Readers see the results of runs in the plan. ``references`` has the optima that
+    are proven beside them. Any number of processes may open
     the store for reading at any time, and one for writing (``write=True``). Raises StoreError if the file cannot be
     opened, is damaged, or has another writer. Every value that is read is checked, and whatever is wrong with the file
     is a StoreError with its name and a remedy.
@@ -47,6 +49,7 @@ class Store:
 
     def __init__(self, folder: Path, *, write: bool = False) -> None:
         self.folder, self.path = folder, folder / FILE
+        self.references = ReferenceTable(self)
         self._lock: FolderLock | None = None
         self._wait_s = WRITE_WAIT_S if write else READ_WAIT_S
         with guarded(self.path):
@@ -55,6 +58,11 @@ class Store:
                 advice = "" if kind == "none" else f" of that name; move it away, or {folder} aside with --fresh"
                 raise StoreError(f"{folder}: expected a results folder with {FILE}, found {kind}{advice}")
             self._db = self._opened_to_write() if write else self._opened_to_read()
+
+    @property
+    def connection(self) -> sqlite3.Connection:
+        """The connection, for writing within ``writing``."""
+        return self._db
 
     def __enter__(self) -> Self:
         return self
@@ -69,17 +77,17 @@ class Store:
 
     # --- reading -------------------------------------------------------------------------------------------------
 
-    def _select(self, sql: str, args: Sequence[Any] = ()) -> Iterator[tuple[Any, ...]]:
+    def select(self, sql: str, args: Sequence[Any] = ()) -> Iterator[tuple[Any, ...]]:
         """Yield the rows of a query, unchecked. Every query of a reader goes through here."""
         with guarded(self.path):
             for row in patiently(self._db, self.path, self._wait_s, sql, args):  # noqa: UP028  # closes no cursor
                 yield row
 
-    def _checked(
+    def checked(
         self, table: str, names: Sequence[str], source: str, args: Sequence[Any] = ()
     ) -> Iterator[tuple[list[Any], tuple[Any, ...]]]:
         """Yield the rows of a query with these columns, once with checked and decoded values and once as stored."""
-        for row in self._select(f"SELECT {', '.join(names)} {source}", args):
+        for row in self.select(f"SELECT {', '.join(names)} {source}", args):
             with guarded(self.path):
                 values = checked_row(table, names, row)
             yield values, row
@@ -87,7 +95,7 @@ class Store:
     @property
     def meta(self) -> dict[str, str]:
         """Name, seed, shard and further properties of the study, as text by key."""
-        found = dict(self._select("SELECT key, value FROM meta"))
+        found = dict(self.select("SELECT key, value FROM meta"))
         with guarded(self.path):
             if odd := [pair for pair in found.items() if not all(isinstance(part, str) for part in pair)]:
                 raise ValueError(f"table meta: expected text, found {odd[0]!r:.80}")
@@ -111,7 +119,7 @@ class Store:
     def counts(self) -> dict[str, int]:
         """Number of runs by status; those without a result count as ``open``, also runs of shards that are missing."""
         query = "SELECT COALESCE(status, 'open'), COUNT(*) FROM plan LEFT JOIN results USING (run_id) GROUP BY 1"
-        found = dict(self._select(query))
+        found = dict(self.select(query))
         with guarded(self.path):
             for status in found:
                 if status != "open":
@@ -125,7 +133,7 @@ class Store:
         meta = self.meta
         if meta.get("shard"):
             return 0
-        ((count, last),) = self._select("SELECT COUNT(*), MAX(ordinal) FROM plan")
+        ((count, last),) = self.select("SELECT COUNT(*), MAX(ordinal) FROM plan")
         with guarded(self.path):
             return max(int(meta.get("runs") or 0), (-1 if last is None else last) + 1) - count
 
@@ -137,7 +145,7 @@ class Store:
         )
         return [
             (printable(status), printable(method), count, printable(message))
-            for status, method, count, message in self._select(query)
+            for status, method, count, message in self.select(query)
         ]
 
     def rate(self, window_s: float = 300.0) -> float:
@@ -147,13 +155,13 @@ class Store:
             f"SELECT COUNT(*), MAX(finished) - MIN(finished) FROM {times} WHERE finished > "
             f"(SELECT MAX(finished) FROM {times}) - ?"
         )
-        ((count, seconds),) = self._select(query, [window_s])
+        ((count, seconds),) = self.select(query, [window_s])
         return (count - 1) / seconds if seconds else 0.0
 
     def open_ordinals(self) -> list[int]:
         """Positions in the plan of the runs without a result, in order."""
         query = "SELECT ordinal FROM plan WHERE run_id NOT IN (SELECT run_id FROM results) ORDER BY ordinal"
-        return [ordinal for (ordinal,) in self._select(query)]
+        return [ordinal for (ordinal,) in self.select(query)]
 
     def runs(self) -> Iterator[tuple[Any, ...]]:
         """Yield the columns RUN_COLUMNS of every finished run of the plan, in order; scores as a dict.
@@ -161,7 +169,7 @@ class Store:
         Raises StoreError also if the plan is not what was written.
         """
         self._check_plan()
-        for values, _ in self._checked("results", RUN_COLUMNS, _JOINED):
+        for values, _ in self.checked("results", RUN_COLUMNS, _JOINED):
             yield tuple(values)
 
     def _check_plan(self) -> None:
@@ -173,11 +181,11 @@ class Store:
 
     def origins(self) -> list[tuple[Any, ...]]:
         """The columns ORIGIN_COLUMNS of every finished run of the plan, in order."""
-        return [tuple(values) for values, _ in self._checked("results", ORIGIN_COLUMNS, _JOINED)]
+        return [tuple(values) for values, _ in self.checked("results", ORIGIN_COLUMNS, _JOINED)]
 
     def traces(self) -> Iterator[tuple[str, tuple[Trace, ...]]]:
         """Yield (run_id, traces) of every finished run of the plan, in order; one trace per minimized problem."""
-        for (run_id, blob), _ in self._checked("results", ("run_id", "traces"), _JOINED):
+        for (run_id, blob), _ in self.checked("results", ("run_id", "traces"), _JOINED):
             yield run_id, self._traces(run_id, blob)
 
     def _traces(self, run_id: str, blob: bytes) -> tuple[Trace, ...]:
@@ -199,7 +207,7 @@ class Store:
         self._check_plan()
         page: list[list[Any]] = [[-1]]
         while page:
-            page = [values for values, _ in self._checked("results", names, source, [page[-1][0], _PAGE])]
+            page = [values for values, _ in self.checked("results", names, source, [page[-1][0], _PAGE])]
             for _, run_id, formulation, solver, method, repetition, status, swept, blob in page:
                 about = (run_id, formulation, solver, method, repetition, status, settings(swept))
                 try:
@@ -213,22 +221,22 @@ class Store:
         """The keys that the plan sweeps, in order."""
         query = "SELECT swept FROM plan GROUP BY swept ORDER BY MIN(ordinal)"
         with guarded(self.path):
-            return list(dict.fromkeys(key for (text,) in self._select(query) for key in settings(text)))
+            return list(dict.fromkeys(key for (text,) in self.select(query) for key in settings(text)))
 
     def estimates(self) -> Iterator[tuple[str, Any]]:
         """Yield (run_id, estimate as nested lists) of every finished run of the plan that has one, in order."""
-        for (run_id, found), _ in self._checked("results", ("run_id", "estimate"), _JOINED):
+        for (run_id, found), _ in self.checked("results", ("run_id", "estimate"), _JOINED):
             if found is not None:
                 yield run_id, found
 
     def plan_rows(self) -> Iterator[tuple[Any, ...]]:
         """Yield the rows of the table ``plan`` as stored."""
-        for _, row in self._checked("plan", PLAN_COLUMNS, "FROM plan ORDER BY ordinal"):
+        for _, row in self.checked("plan", PLAN_COLUMNS, "FROM plan ORDER BY ordinal"):
             yield row
 
     def result_rows(self) -> Iterator[tuple[Any, ...]]:
         """Yield the rows of the table ``results`` as stored."""
-        for values, row in self._checked("results", RESULT_COLUMNS, "FROM results"):
+        for values, row in self.checked("results", RESULT_COLUMNS, "FROM results"):
             with guarded(self.path):
                 inflated(values[RESULT_COLUMNS.index("traces")])  # its checksum tells any damage
             yield row
@@ -257,10 +265,12 @@ class Store:
         about |= {"plan": study.fingerprint, "runs": len(study), "runs_per_scene": study.runs_per_scene}
         about["scenarios"] = study.scenarios
         about |= {"targets": json.dumps(study.targets), "claims": json.dumps(study.claims)}
+        about |= {"reference": json.dumps(study.proven)}
         budgets = {method.label: method.budget["evaluations"] for method in study.methods if method.budget}
         about |= {"budgets": json.dumps(budgets)}
         known = {key: str(value) for key, value in {**expected, **about}.items()}
         same_plan = found.get("plan") == known["plan"] and found.get("plan_rows") == self._plan_digest()
+        same_plan = same_plan and found.get("reference", "[]") == known["reference"]
         if same_plan and known.items() <= found.items():
             return False
         with self.writing():
@@ -273,6 +283,7 @@ class Store:
                     if shard is None or int(spec.run_id, 16) % shard[1] == shard[0] - 1
                 )
                 self._db.executemany(f"INSERT INTO plan VALUES ({marks(len(PLAN_COLUMNS))})", rows)
+                self.references.plan(study, shard)
                 self._db.execute("REPLACE INTO meta VALUES ('plan_rows', ?)", [self._plan_digest()])
         return True
 
@@ -288,28 +299,34 @@ class Store:
                 self._db.rollback()
 
     def _plan_digest(self) -> str:
-        """A hash of the table ``plan``, by which a change in it is noticed."""
+        """A hash of the tables ``plan`` and ``reference_plan``, by which a change in them is noticed."""
         found = hashlib.sha256()
-        for row in self._select("SELECT * FROM plan ORDER BY ordinal"):
-            found.update(repr(row).encode("utf-8", "surrogatepass"))
+        for table in ("plan", "reference_plan") if self.references.exist() else ("plan",):
+            for row in self.select(f"SELECT * FROM {table} ORDER BY ordinal"):
+                found.update(repr(row).encode("utf-8", "surrogatepass"))
         return found.hexdigest()[:32]
 
     def tabled(self) -> bool:
-        """Whether the tables include all runs that are finished now, according to ``mark_tabled``."""
-        return self.meta.get("tabled") == str(self._finished())
+        """Whether the tables include all runs and proofs that are finished now, according to ``mark_tabled``."""
+        return self.meta.get("tabled") == self._finished()
 
     def mark_tabled(self) -> None:
-        """Record that the tables include all runs that are finished now."""
+        """Record that the tables include all runs and proofs that are finished now."""
         with self.writing():
-            self._db.execute("REPLACE INTO meta VALUES ('tabled', ?)", [str(self._finished())])
+            self._db.execute("REPLACE INTO meta VALUES ('tabled', ?)", [self._finished()])
 
-    def _finished(self) -> int:
-        return sum(count for status, count in self.counts().items() if status != "open")
+    def _finished(self) -> str:
+        """Number of finished runs, and of finished proofs if there are any."""
+        counts = (self.counts(), self.references.counts())
+        numbers = [sum(count for status, count in found.items() if status != "open") for found in counts]
+        return " ".join(map(str, numbers if numbers[1] else numbers[:1]))
 
     def forget(self, statuses: Iterable[str]) -> None:
-        """Delete the results with these statuses, so that their runs are repeated."""
+        """Delete the results with these statuses, so that their runs and proofs are repeated."""
+        values = [(str(status),) for status in statuses]
         with self.writing():
-            self._db.executemany("DELETE FROM results WHERE status = ?", [(str(status),) for status in statuses])
+            for table in ("results", "reference_optima"):
+                self._db.executemany(f"DELETE FROM {table} WHERE status = ?", values)
 
     def add(self, records: Iterable[RunRecord]) -> None:
         """Write records in one transaction; they are on disk when this returns."""

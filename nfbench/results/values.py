@@ -23,7 +23,7 @@ _FIELDS = ("evaluations", "seconds", "values", "points")
 
 
 def checked_row(table: str, names: Sequence[str], row: Sequence[Any]) -> list[Any]:
-    """The values of a row of ``plan`` or ``results``, decoded: ``scores`` as a dict, ``estimate`` as nested lists.
+    """The values of a row of a table: ``scores`` and ``columns`` as a dict, ``estimate`` and ``point`` as lists.
 
     ``swept`` and ``traces`` are checked by ``settings`` and ``unpacked`` where they are used. Raises ValueError, which
     names the row and the column, if a value is not one that a run can have.
@@ -125,6 +125,15 @@ _CHECKS: dict[str, Callable[[Any], Any]] = {
     "scores": _scores,
     "estimate": _estimate,
     "traces": _blob,
+    "reference_id": _text,
+    "scene": _whole,
+    "value": _number,
+    "gap": _number,
+    "certified": _whole,
+    "step": _whole,
+    "columns": _scores,
+    "point": _estimate,
+    "seconds": _number,
     "host": _text,
     "worker": _whole,
     "finished": _time,

@@ -15,10 +15,11 @@ from .claims import claim_of, claim_problems
 from .methods import budget_limits, study_methods
 from .plan import Study
 from .plausibility import plugin_warnings
+from .proofs import provable
 from .reading import read_manifest as _read
 from .records import Method, PluginSpec, swept_column
 from .resolve import ErrorCollector, Resolver
-from .schema import Manifest, Summary, Table, Targets
+from .schema import Manifest, Proofs, Summary, Table, Targets
 from .sweep import AT_FIRST, Sweep, limits_given_twice, sweep_points, with_first_limits
 
 __all__ = ["load_scenarios", "load_study"]
@@ -85,6 +86,7 @@ def _study(
     methods = study_methods(first, resolver, sweep.scenario)
     summary = _table(Summary, manifest.summary, "summary", errors)
     _table(Targets, manifest.targets, "targets", errors)
+    proofs = _table(Proofs, manifest.reference, "reference", errors)
     for i, table in enumerate(manifest.claim):
         try:
             claim_of(table)
@@ -95,17 +97,24 @@ def _study(
     if errors.texts or sweep.scenario is None:
         return None
     try:
-        return _planned(manifest, text, sweep, methods, summary, resolver)
+        return _planned(manifest, text, sweep, methods, summary, proofs, resolver)
     except OptionError as error:
         _add_named(error, table, errors)
         return None
 
 
 def _planned(
-    manifest: Manifest, text: str, sweep: Sweep, methods: list[Method], summary: Summary, resolver: Resolver
+    manifest: Manifest,
+    text: str,
+    sweep: Sweep,
+    methods: list[Method],
+    summary: Summary,
+    proofs: Proofs,
+    resolver: Resolver,
 ) -> Study:
     registry, scenario = resolver.registry, sweep.scenario
     assert scenario is not None
+    proven, without_proof = provable(methods, resolver) if proofs.certificate else ((), ())
     study = Study(
         name=manifest.name,
         title=manifest.title,
@@ -121,10 +130,12 @@ def _planned(
         warnings=(
             *(f"plugin {file.name} is left out: {reason}" for file, reason in registry.broken.items()),
             *resolver.warnings,
+            *(f"{label} has no proof of its optimum, so its gaps are not certified" for label in without_proof),
         ),
         runs_per_scene=manifest.runs_per_scene,
         targets=_targets(manifest, methods),
         claims=manifest.claim,
+        proven=proven,
     )
     _check_claims(study, resolver.errors)
     return replace(study, warnings=(*study.warnings, *plugin_warnings(sweep, methods, resolver)))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from typing import Any
@@ -38,6 +38,7 @@ class Study:
     runs_per_scene: number of runs of each stochastic method on each scene; the others run once.
     targets: (kind, value) of each target, in the order of the manifest; empty for the defaults.
     claims: tables of the claims that the study tests, as in the manifest.
+    proven: labels of the formulations whose optimum in each scene is to be proven.
     """
 
     name: str
@@ -55,6 +56,7 @@ class Study:
     runs_per_scene: int = 1
     targets: tuple[tuple[str, float], ...] = ()
     claims: tuple[dict[str, Any], ...] = ()
+    proven: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         runs = self.scenes * self._runs_of_scene
@@ -126,6 +128,36 @@ class Study:
             solver_seed=seed_from("solver", *parts),
         )
 
+    @property
+    def references(self) -> int:
+        """Number of optima to prove: one per scene, point of the sweep without its budget, and formulation."""
+        return self.scenes * len(self._proofs)
+
+    def reference(self, ordinal: int) -> RunSpec:
+        """Return what proves the optimum at position ``ordinal``; scenes are the outermost loop, as in ``spec``."""
+        scene, number = divmod(ordinal, len(self._proofs))
+        point, method = self._proofs[number]
+        parts = (self.seed, _point_digest(point), _method_digest(method), scene)
+        return RunSpec(
+            run_id=digest([SEEDS, "reference", *parts, [point.scenario.version, *_versions(method)]])[:20],
+            study=self.name,
+            point=point,
+            method=method,
+            repetition=scene * self.runs_per_scene,
+            instance_seed=_scene_seed(self.seed, scene),
+            solver_seed=0,
+            asks="reference",
+        )
+
+    @cached_property
+    def _proofs(self) -> list[tuple[Point, Method]]:
+        """The points of the sweep without their budgets, each with every formulation whose optimum is to be proven."""
+        swept = [{key: v for key, v in point.swept.items() if not key.startswith("budget.")} for point in self.points]
+        pairs = zip(self.points, swept, strict=True)
+        points = {_canonical(settings): Point(point.scenario, settings) for point, settings in pairs}
+        methods = [_proof_of(label, self.methods) for label in self.proven]
+        return [(point, method) for point in points.values() for method in methods]
+
     @cached_property
     def _points(self) -> list[tuple[Point, str]]:
         return [(point, _point_digest(point)) for point in self.points]
@@ -175,3 +207,21 @@ def _method_digest(method: Method) -> str:
 
 def _versions(method: Method) -> list[str]:
     return [choice.version for choice in (method.formulation, method.solver) if choice]
+
+
+def _proof_of(label: str, methods: Sequence[Method]) -> Method:
+    """Return the proof of a formulation's optimum as a method without a solver.
+
+    Its limits are the largest of those of the methods that use the formulation, as it is as necessary as any of them.
+    """
+    using = [method for method in methods if method.solver and method.formulation.label == label]
+    times, sizes = [method.run_timeout_s for method in using], [method.run_memory_mb for method in using]
+    return Method(
+        using[0].formulation,
+        None,
+        None,
+        f"optimum of {label}",
+        None if None in times else max(time for time in times if time is not None),
+        None if None in sizes else max(size for size in sizes if size is not None),
+        is_stochastic=False,
+    )

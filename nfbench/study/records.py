@@ -6,7 +6,7 @@ import math
 import os
 import socket
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, Literal
 
 from nfbench.core import Status, Trace
 
@@ -98,6 +98,8 @@ class RunSpec:
     instance_seed: seed of the scene. It depends on the study's seed and the number of the scene only, so that every
     swept value, method and run sees the same scene as far as possible, and comparisons are paired.
     solver_seed: seed of the solver. It depends on everything that determines the result except plugin versions.
+    asks: what is computed: the estimate of the method, or the proven optimum of the first problem of its formulation.
+    An optimum is no run of the study, but it is computed like one; its identity has no solver and no budget.
     """
 
     run_id: str
@@ -107,11 +109,15 @@ class RunSpec:
     repetition: int
     instance_seed: int
     solver_seed: int
+    asks: Literal["estimate", "reference"] = "estimate"
 
 
 @dataclass(frozen=True)
 class RunRecord:
     """The result of one run.
+
+    That of a proven optimum has the smallest value as ``objective``, the point as ``estimate``, and ``gap``,
+    ``certified``, ``step`` and further columns as ``scores``.
 
     run_id: identity of the run, as in its specification.
     status: how the run ended.

@@ -12,7 +12,7 @@ from nfbench.core import Budget, Ge, Gt, Le, Lt, OptionError, Options, TargetOpt
 
 from .labels import label_problem
 
-__all__ = ["Limits", "Manifest", "MethodTable", "Summary", "Table", "Targets"]
+__all__ = ["Limits", "Manifest", "MethodTable", "Proofs", "Summary", "Table", "Targets"]
 
 Table: TypeAlias = dict[str, Any]
 _Positive: TypeAlias = Annotated[float, Gt(0.0), Lt(math.inf)]
@@ -45,6 +45,7 @@ class Manifest(Options):
     runs_per_scene: number of runs of each stochastic method on each scene, at most 10^6; the other methods run once.
     targets: ``[targets]`` table: lists of the errors and gaps at which a run counts as solved; the first value is the
     one by which methods are judged. Empty for targets that fit the scenario.
+    reference: ``[reference]`` table: whether the optima from which gaps are measured are proven.
     claim: ``[[claim]]`` tables: statements that the results are to confirm or contradict.
     """
 
@@ -63,6 +64,7 @@ class Manifest(Options):
     summary: Table = field(default_factory=dict)
     runs_per_scene: Annotated[int, Ge(1), Le(10**6)] = 1
     targets: Table = field(default_factory=dict)
+    reference: Table = field(default_factory=dict)
     claim: tuple[Table, ...] = ()
 
     def validate(self) -> None:
@@ -139,6 +141,17 @@ class Targets(Options):
     error_in_bounds: tuple[_Positive, ...] = ()
     error: tuple[_Positive, ...] = ()
     gap: tuple[_Positive, ...] = ()
+
+
+@dataclass(frozen=True)
+class Proofs(Options):
+    """``[reference]``: the optimum from which the gaps of a problem are measured. It does not affect the runs.
+
+    certificate: whether the optimum of the first problem of each formulation is proven, once per scene and swept value
+    of the scenario, by formulations that have a proof.
+    """
+
+    certificate: bool = False
 
 
 @dataclass(frozen=True)

@@ -62,15 +62,14 @@ def test_a_damaged_file_is_ignored_and_replaced(near_field, tmp_path, damage, co
             np.savez(file, head=np.array([{"key": "x"}], dtype=object))
     elif damage == "shape":
         with path.open("wb") as file:
-            head = json.dumps(
-                {"key": hits._key(results.folder, results.runs, GAPS, "rmse_m"), "notes": [], "reasons": {}}
-            )
+            head = json.dumps({"key": hits._key(results, results.runs, GAPS, "rmse_m"), "notes": [], "reasons": {}})
             arrays = {name: np.zeros((2, 2)) for name in ("evaluations", "seconds", "spent")}
             both = {name: np.zeros((2, 2), dtype=bool) for name in ("kept", "hit")}
             np.savez(file, head=np.frombuffer(head.encode(), dtype=np.uint8), **arrays, **both)
     else:
         middle = len(content) // 2
-        flipped = content[:middle] + bytes([content[middle] ^ 255]) + content[middle + 1 :]
+        flip = bytes(byte ^ 255 for byte in content[middle : middle + 64])  # more than the head of an array
+        flipped = content[:middle] + flip + content[middle + 64 :]
         path.write_bytes({"empty": b"", "cut": content[:middle], "flipped": flipped}[damage])
     pd.testing.assert_frame_equal(find_hits(results, GAPS).frame, good)
     assert len(counted) == 2
