@@ -51,9 +51,9 @@ def option_classes() -> Iterator[tuple[str, type[Options]]]:
     from nfbench.core import Budget, TargetTable
     from nfbench.plugins.groups import Group
     from nfbench.study import Compare
-    from nfbench.study.schema import Limits, Manifest, MethodTable, Summary, Targets
+    from nfbench.study.schema import Limits, Manifest, MethodTable, Proofs, Summary, Targets
 
-    for cls in (Manifest, Limits, Summary, Targets, Compare, MethodTable, Group, Budget, TargetTable):
+    for cls in (Manifest, Limits, Summary, Targets, Proofs, Compare, MethodTable, Group, Budget, TargetTable):
         yield cls.__name__, cls
     registry = Registry()
     for kind in ("scenario", "formulation", "solver"):

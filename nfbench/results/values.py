@@ -99,6 +99,13 @@ def _estimate(value: Any) -> Any:
     return found
 
 
+def _point(value: Any) -> list[float] | None:
+    found = _estimate(value)
+    if found is not None and np.ndim(found) != 1:
+        raise ValueError(f"expected a point, found {value!r:.80}")
+    return None if found is None else [float(coordinate) for coordinate in found]
+
+
 def _blob(value: Any) -> bytes:
     if not isinstance(value, bytes):
         raise ValueError(f"expected bytes, found {value!r:.80}")
@@ -132,7 +139,7 @@ _CHECKS: dict[str, Callable[[Any], Any]] = {
     "certified": _whole,
     "step": _whole,
     "columns": _scores,
-    "point": _estimate,
+    "point": _point,
     "seconds": _number,
     "host": _text,
     "worker": _whole,

@@ -9,7 +9,7 @@ import sys
 
 import pandas as pd
 import pytest
-from conftest import PROJECT
+from conftest import PLUGINS, PROJECT
 
 import nfbench
 import nfbench.analysis
@@ -18,6 +18,7 @@ import nfbench.testing
 from nfbench.results import export_csv
 
 DOCS = PROJECT / "docs"
+PROVING = PLUGINS / "proving.py"
 sys.path[:0] = [str(DOCS / "_extensions"), str(DOCS)]
 
 pytest.importorskip("sphinx", reason="the extra docs")
@@ -147,6 +148,20 @@ def test_every_column_that_a_study_writes_is_described(text, tmp_path):
         if not column_tables.is_described(file, column)
     ]
     assert not missing, f"describe them in docs/reference/columns.toml: {missing}"
+
+
+def test_every_column_of_proofs_is_described(tmp_path):
+    tables = '[scenario]\nkind = "bowls"\n[sweep]\nlift = [0.0]\n[[formulation]]\nkind = "proving"\n'
+    tables += '[[solver]]\nkind = "random-search"\n[budget]\nevaluations = 40\n[reference]\ncertificate = true\n'
+    (tmp_path / "study.toml").write_text(f'name = "p"\nscenes = 1\nseed = 1\nplugins = ["{PROVING}"]\n{tables}')
+    nfbench.run(nfbench.load_study(tmp_path / "study.toml"), out=tmp_path / "out", jobs=0)
+    names = list(pd.read_csv(tmp_path / "out" / "references.csv"))
+    assert [name for name in names if not column_tables.is_described("references", name)] == ["cuts"]  # of the plugin
+    assert {entry["name"] for entry in column_tables.columns("references")} <= {
+        *names,
+        "scenario.KEY",
+        "x_N",
+    }
 
 
 def test_patterns_of_columns_take_numbers_and_keys_only():

@@ -3,6 +3,7 @@
 import os
 import time
 from dataclasses import dataclass
+from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
@@ -68,7 +69,7 @@ class Proving(Formulation):
 
     def reference(self, instance):
         if log := os.environ.get("PROOF_LOG"):
-            with open(log, "a", encoding="utf-8") as file:
+            with Path(log).open("a", encoding="utf-8") as file:
                 file.write(f"{self.how}\n")
         level, point = instance.problem.level, instance.problem.centre
         match self.how:
@@ -78,8 +79,6 @@ class Proving(Formulation):
                 return Reference(level + 0.5, 0.01, True)
             case "open":  # a good value, but no proof
                 return Reference(level, np.inf, False, point, step=2)
-            case "none":
-                return None
             case "raises":
                 raise RuntimeError("no proof today")
             case "crashes":
@@ -90,3 +89,4 @@ class Proving(Formulation):
                 return Reference(level, -1.0, True)
             case "text":
                 return "proven"
+        return None
