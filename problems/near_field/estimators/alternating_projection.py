@@ -78,16 +78,17 @@ class AlternatingProjection(Formulation):
         Raises Incompatible if there are fewer snapshots than sources, unless the objective is "dml".
         """
         K = how_many(instance, self.sources, self.criterion)
-        manifold, lower, upper = instance.manifold.under(self.wavefront), instance.lower, instance.upper
+        manifold, box = instance.manifold.under(self.wavefront), (instance.lower, instance.upper)
         theta = np.empty((0, manifold.dimension))
         if K == 0:
             return theta
         F = _factor(instance.Y, K, self.objective)
         for _ in range(K):
-            problem = ConditionalFit(F, manifold, lower, upper, theta)
+            problem = ConditionalFit(F, manifold, *box, theta)
             theta = np.vstack([theta, place(problem, minimize, refining=self.refine)[0]])
-        limits = {"sweeps": self.sweeps, "tolerance": self.tolerance}
-        return relax(F, manifold, lower, upper, theta, minimize, refining=self.refine, **limits)
+        return relax(
+            F, manifold, *box, theta, minimize, sweeps=self.sweeps, tolerance=self.tolerance, refining=self.refine
+        )
 
 
 def _factor(Y: Complex[ndarray, "m t"], sources: int, objective: _Objective) -> Complex[ndarray, "m c"]:

@@ -38,7 +38,7 @@ def first_element(j: Index, basis: Index) -> Index:
 def misfit(gained: float, inside: float, M: int, energy: float, least: float) -> float:
     """J = E − N/D, which rounding must not make negative; E where D is below ``least``."""
     D = M - inside
-    return max(energy - gained / D, 0.0) if D > least else energy
+    return max(energy - gained / D, 0.0) if least < D else energy
 
 
 @compiled()
@@ -145,7 +145,7 @@ def conditional_misfit_and_gradient(
         else:
             gained += square
     D = M - inside
-    if not D > least:
+    if not least < D:
         return energy, gradient
     for j in range(uint(rows.shape[1])):  # v += row_j·(aᴴ·row_j)*, with weight N/D for the columns of Q
         weight = gained / D if j < uint(basis) else 1.0
