@@ -16,7 +16,7 @@ from .arrays import UCA, ULA, UPA, Array, Custom, unusual
 from .channels import IID, ClusterAroundSource, Clusters, Isotropic, NLoS, complex_normal, rician
 from .geometry import ambiguity
 from .instance import NearFieldInstance
-from .objectives import kernels
+from .objectives import kernels, kernels_conditional
 from .placement import has_room, place_sources
 from .wavefronts import Manifold, Wavefront
 
@@ -124,6 +124,7 @@ class NearField(Scenario):
 
     def warm_up(self) -> None:
         kernels.warm_up()
+        kernels_conditional.warm_up()
 
     def manifold(self) -> Manifold:
         """Return the array and the wavefront model with which the data are generated."""
@@ -199,7 +200,7 @@ class NearField(Scenario):
         are the first K of K + 1, M elements have the noise of the first M of M + 1, and T snapshots are the first T of
         T + 1. Raises ValueError if no placement is found whose sources are ``min_separation_deg`` apart.
         """
-        kernels.warm_up()  # so that no measured time includes the compilation
+        self.warm_up()  # so that no measured time includes the compilation
         for_positions, for_fading, for_symbols, for_noise = rng.spawn(4)
         lower, upper = self.box()
         theta = self._place_sources(for_positions, lower, upper)

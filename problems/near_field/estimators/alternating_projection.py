@@ -1,0 +1,108 @@
+"""Alternating projection: fits one source at a time, with the others projected off, until nothing is gained."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Annotated, ClassVar, Literal, TypeAlias, final
+
+import numpy as np
+from jaxtyping import Complex, Float
+from numpy import ndarray
+
+from nfbench import Formulation, Ge, Instance, Lt, Minimize
+
+from ..enumeration import Criterion, Sources, how_many
+from ..instance import NearFieldInstance
+from ..objectives.conditional_fit import ConditionalFit
+from ..subspace import compress, decompose
+from ..wavefronts import Wavefront
+from .relaxation import TOLERANCE, place, relax
+
+__all__ = ["AlternatingProjection"]
+
+_Objective: TypeAlias = Literal["esf", "wsf", "dml"]
+
+
+@final
+@dataclass(frozen=True)
+class AlternatingProjection(Formulation):
+    """Subspace fitting or maximum likelihood of all sources, minimized by searches for one source at a time.
+
+    The objective is ‖(I − P_A)F‖² as a function of all sources. The start adds one source after another where it lowers
+    the objective most, given those found before (orthogonal least squares; Chen, Billings & Luo 1989). The first search
+    is that of NEMO with F in the place of the data. NEMO then subtracts what each detection explains on its own; here
+    the detections are projected off together, so the gain of a further source is measured by the objective itself.
+    After the start, each source in turn is found again with the others projected off, until a sweep over the sources
+    gains nothing (alternating projection, Ziskind & Wax 1988, doi:10.1109/29.7543; RELAX, Li & Stoica 1996,
+    doi:10.1109/78.485924). This removes the error floor of NEMO.
+
+    Each search is one problem with as many unknowns as one source has, for any solver, with the whole budget: K
+    problems for the start and K more in each sweep. A source keeps its position if a search finds nothing better, so
+    the objective never rises. The result is a minimum in each source given the others, which need not be the global
+    minimum over all of them.
+
+    objective: "wsf" is weighted subspace fitting, in which each signal eigenvector is weighted by (λ_i − σ̂²)/√λ_i
+        (Viberg & Ottersten 1991); "esf" gives them equal weights, as NEEF does; "dml" is deterministic maximum
+        likelihood, the least-squares fit to the data themselves, which also works with fewer snapshots than sources.
+    sweeps: maximum number of sweeps after the start.
+    tolerance: relative gain of the objective in a sweep at or below which the search ends.
+    refine: whether to refine each position by L-BFGS-B, both that of the solver and the previous one, before the better
+        of the two is chosen; these evaluations do not count towards the budget.
+    wavefront: wavefront model that the estimator assumes, "exact", "fresnel", "paper" or "planar"; None: that of the
+        scenario.
+    sources: number of sources to search for: "known" is the true number, "estimate" is an estimate from the data by
+        ``criterion``, and an integer is used as given, even if it is wrong.
+    criterion: criterion by which the number of sources is estimated: "aic", "mdl" or "ne" (Nadakuditi & Edelman); used
+        only if ``sources`` is "estimate".
+    """
+
+    accepts: ClassVar[type[Instance]] = NearFieldInstance
+
+    objective: _Objective = "wsf"
+    sweeps: Annotated[int, Ge(0)] = 10
+    tolerance: Annotated[float, Ge(0.0), Lt(1.0)] = TOLERANCE
+    refine: bool = True
+    wavefront: Wavefront | None = None
+    sources: Sources = "known"
+    criterion: Criterion = "ne"
+
+    def estimates(self, instance: NearFieldInstance, X: Float[ndarray, "r n"]) -> Float[ndarray, "r 1 d"] | None:
+        """Return the estimates of a search for one source that is not refined; otherwise None."""
+        single = how_many(instance, self.sources, self.criterion) == 1
+        return X[:, None] if single and not self.refine else None
+
+    def solve(self, instance: NearFieldInstance, minimize: Minimize) -> Float[ndarray, "k d"]:
+        """Return the sources (K, d) [rad, m] in the order in which the start finds them.
+
+        Raises Incompatible if there are fewer snapshots than sources, unless the objective is "dml".
+        """
+        K = how_many(instance, self.sources, self.criterion)
+        manifold, box = instance.manifold.under(self.wavefront), (instance.lower, instance.upper)
+        theta = np.empty((0, manifold.dimension))
+        if K == 0:
+            return theta
+        F = _factor(instance.Y, K, self.objective)
+        for _ in range(K):
+            problem = ConditionalFit(F, manifold, *box, theta)
+            theta = np.vstack([theta, place(problem, minimize, refining=self.refine)[0]])
+        return relax(
+            F, manifold, *box, theta, minimize, sweeps=self.sweeps, tolerance=self.tolerance, refining=self.refine
+        )
+
+
+def _factor(Y: Complex[ndarray, "m t"], sources: int, objective: _Objective) -> Complex[ndarray, "m c"]:
+    """Return the factor F of an objective: U_s (ESF), U_s·diag((λ_i − σ̂²)/√λ_i) (WSF), or L/√T with LLᴴ = YYᴴ (DML).
+
+    Eigenvectors with λ_i <= σ̂² have weight 0.
+    """
+    if objective == "dml":
+        if not np.isfinite(Y).all():
+            raise ValueError("Y: expected finite data, got NaN or infinite entries")
+        return compress(Y) / math.sqrt(Y.shape[1])
+    U_s, eigenvalues, noise = decompose(Y, sources)
+    if objective == "esf":
+        return U_s
+    signal = np.maximum(eigenvalues - noise, 0.0)
+    root = np.sqrt(eigenvalues)
+    return U_s * np.divide(signal, root, out=np.zeros_like(root), where=root > 0)
