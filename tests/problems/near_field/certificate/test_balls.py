@@ -35,13 +35,13 @@ def sources_of(name, count, seed):
 
 def points_in(sources, rho, n, rng):
     """Points (b, n, d) of the balls that lie in Θ; where a draw does not, its centre."""
-    chart, (b, d) = sources.chart, sources.C.shape
+    chart, d = sources.chart, sources.C.shape[1]
     t = np.stack([scenes.in_unit_ball(n, d, rng) * r for r in rho])
     C = sources.C[:, None] + t @ sources.S.swapaxes(1, 2)
     for _ in range(12):  # shorten the segments that leave Θ
-        outside = ((C < chart.lower) | (chart.upper < C)).any(axis=2)
+        outside = ((chart.lower > C) | (chart.upper < C)).any(axis=2)
         C[outside] = (C + sources.C[:, None])[outside] / 2
-    outside = ((C < chart.lower) | (chart.upper < C)).any(axis=2)
+    outside = ((chart.lower > C) | (chart.upper < C)).any(axis=2)
     return np.where(outside[..., None], sources.C[:, None], C)
 
 
@@ -123,7 +123,7 @@ def test_balls_of_a_cover_stay_where_the_bounds_of_the_exact_phases_hold():
     sources, U, _ = sources_of("endfire, short", 4, 3)
     chart = sources.chart
     corners = charted(chart, np.array([[1.0, chart.upper[1]], [-1.0, chart.upper[1]], [1.0, chart.lower[1]]]))
-    pieces, radii, first = cover(corners, np.full(3, 2.0), 5)
+    pieces, radii, _ = cover(corners, np.full(3, 2.0), 5)
     assert np.abs(pieces.C[:, 0]).max() <= 1 and (np.abs(pieces.C[:, 1]) * np.abs(chart.Q).max() < 1).all()
     assert np.isfinite(ball_bounds(pieces, radii, U)).all()
     outside = np.array([[1.2, 0.3]])
