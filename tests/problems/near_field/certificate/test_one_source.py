@@ -107,6 +107,24 @@ def test_maxima_on_edges_and_in_corners(manifest):
     assert edges >= 1 and (corners >= 1 or manifest is SHORT_PAPER)
 
 
+def test_points_beyond_an_edge_do_not_count_where_coordinates_are_sheared():
+    """Under ``paper`` boxes may stick out of Θ, towards a source that the box leaves out."""
+    for seed in range(6):
+        azimuth = np.random.default_rng(seed).uniform(-50, 50)
+        low, high = ([-60, azimuth - 0.5], [azimuth + 0.5, 60])[seed % 2]
+        positions = ((azimuth, 1.5 + 0.4 * seed),)
+        data = scene(
+            SHORT_PAPER,
+            seed,
+            [np.radians(low), 1.27],
+            [np.radians(high), 4.0],
+            sources=1,
+            snr_db=10.0,
+            positions=positions,
+        )
+        check(*data)
+
+
 def test_a_face_and_an_edge_in_space():
     lower, upper = [np.radians(-30), np.radians(-20), 0.3], [np.radians(30), np.radians(20), 1.0]
     data = scene(SMALL_PLANE, 3, lower, upper, sources=1, snr_db=20.0, positions=((10.0, 5.0, 0.2),))
