@@ -59,7 +59,7 @@ class Charted:
 
     @cached_property
     def steps(self) -> tuple[Float[ndarray, " b"], Float[ndarray, " b"], Float[ndarray, " b"]]:
-        """By how much a unit step in t changes the angles (x) and κ (y) at most, and c: cx·cosα and cy·sinα bound both."""
+        """x and y, how much a unit step in t changes the angles and κ at most; and c: cx·cosα, cy·sinα bound them."""
         angles = np.linalg.svd(self.S[:, :-1], compute_uv=False)[:, 0]
         kappa = np.linalg.norm(self.S[:, -1], axis=1)
         both = np.concatenate([self.S[:, :-1] / angles[:, None, None], self.S[:, -1:] / kappa[:, None, None]], axis=1)
