@@ -12,6 +12,7 @@ from numpy import ndarray
 
 from nfbench import Ge, Gt, Instance, Le, Lt, OneOf, OptionError, Scenario
 
+from . import search
 from .arrays import UCA, ULA, UPA, Array, Custom, unusual
 from .channels import IID, ClusterAroundSource, Clusters, Isotropic, NLoS, complex_normal, rician
 from .geometry import ambiguity
@@ -124,6 +125,7 @@ class NearField(Scenario):
 
     def warm_up(self) -> None:
         kernels.warm_up()
+        search.warm_up()
 
     def manifold(self) -> Manifold:
         """Return the array and the wavefront model with which the data are generated."""
@@ -199,7 +201,7 @@ class NearField(Scenario):
         are the first K of K + 1, M elements have the noise of the first M of M + 1, and T snapshots are the first T of
         T + 1. Raises ValueError if no placement is found whose sources are ``min_separation_deg`` apart.
         """
-        kernels.warm_up()  # so that no measured time includes the compilation
+        self.warm_up()  # so that no measured time includes the compilation
         for_positions, for_fading, for_symbols, for_noise = rng.spawn(4)
         lower, upper = self.box()
         theta = self._place_sources(for_positions, lower, upper)

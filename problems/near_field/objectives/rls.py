@@ -54,7 +54,10 @@ class RLS(Problem):
         self.lower, self.upper = lower, upper
         self._manifold = manifold
         kernels.warm_up()
-        factor = *manifold.packed, kernels.pack_rows(compress(Y))
+        L = compress(Y)
+        repels = detected is not None and len(detected) > 0
+        self.factor = None if repels else L  # F of J = ‖(I − P_a)F‖², which no repulsion is part of
+        factor = *manifold.packed, kernels.pack_rows(L)
         self._projected_energy = partial(kernels.projected_energy, *factor)  # ‖aᴴL‖² of points
         self._projected_energy_one = partial(kernels.projected_energy_one, *factor)  # and of one
         self._projected_energy_and_gradient = partial(kernels.projected_energy_and_gradient, *factor)

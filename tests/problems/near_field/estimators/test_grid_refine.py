@@ -3,7 +3,6 @@
 from dataclasses import replace
 
 import numpy as np
-import oracles
 import pytest
 from numpy.testing import assert_allclose
 
@@ -11,12 +10,12 @@ import nfbench
 from nfbench import Incompatible, OptionError
 from nfbench.core.options import build
 from nfbench.plugins.registry import Registry
-from nfbench.problems.near_field.estimators import grid_refine
-from nfbench.problems.near_field.estimators.grid_refine import GridRefine, resolution_grid
-from nfbench.problems.near_field.estimators.refinement import refine, resolution
+from nfbench.problems.near_field.estimators.grid_refine import GridRefine
+from nfbench.problems.near_field.estimators.refinement import refine
 from nfbench.problems.near_field.instance import NearFieldInstance
 from nfbench.problems.near_field.objectives.subspace_fitting import ESF
 from nfbench.problems.near_field.scenario import NearField
+from nfbench.problems.near_field.search import resolution, resolution_grid
 from nfbench.problems.near_field.subspace import signal_subspace
 
 PLANE = {
@@ -46,7 +45,7 @@ def solve(instance: NearFieldInstance, **options) -> np.ndarray:
     def never(problem):
         raise AssertionError("a formulation with needs_solver = False called minimize")
 
-    return GridRefine(**options).solve(instance, never)
+    return GridRefine(**options).solve(instance, never).estimate
 
 
 def esf_of(instance: NearFieldInstance) -> ESF:
@@ -98,26 +97,6 @@ def test_without_noise_the_sources_are_found():
     Y = instance.manifold.response(instance.theta).T @ np.diag([1.0, 2.0, 3.0])
     estimate = solve(replace(instance, Y=Y))
     assert_allclose(estimate[np.argsort(estimate[:, 0])], instance.theta, atol=1e-5)
-
-
-def test_a_gain_is_the_decrease_of_esf_by_one_more_source():
-    instance = scene()
-    U_s = signal_subspace(instance.Y, 3)
-    grid = np.random.default_rng(0).uniform(instance.lower, instance.upper, (20, 2))
-    for count in range(3):
-        A = [oracles.response(instance.manifold, theta) for theta in instance.theta[:count]]
-        before = oracles.esf(U_s, np.array(A).T) if A else 3.0
-        after = [oracles.esf(U_s, np.array([*A, oracles.response(instance.manifold, x)]).T) for x in grid]
-        gains = grid_refine._gains(U_s, instance.manifold, instance.theta[:count], grid)
-        assert_allclose(gains, before - np.array(after), atol=1e-12)
-
-
-def test_no_source_is_chosen_at_the_position_of_another():
-    instance = scene()
-    grid = np.vstack([instance.theta[0], instance.theta])
-    gains = grid_refine._gains(signal_subspace(instance.Y, 3), instance.manifold, instance.theta[:1], grid)
-    assert_allclose(gains[:2], 0.0)
-    assert gains[2:].min() > 0.5
 
 
 def test_the_grid_of_a_ula_is_uniform_in_sine_and_inverse_range():
