@@ -31,7 +31,7 @@ _VECTOR, _MATRIX, _ROWS = (types.Array(types.float64, n, "C") for n in (1, 2, 3)
 _POINT = types.Array(types.float64, 1, "A", readonly=True, aligned=False)  # any strides
 _POINTS = types.Array(types.float64, 2, "C", readonly=True)
 _FACTOR = types.Array(types.complex128, 2, "A", readonly=True)
-_COLUMNS = types.complex128[:, ::1]
+_COLUMNS = types.Array(types.complex128, 2, "C", readonly=True)
 _ARRAY = (types.float64, types.int64, _MATRIX, types.int64)  # the fields of ArrayModel
 _TABLE = (_POINTS, types.Array(types.float64, 3, "C"))
 _SIGNATURES: list[tuple[Any, tuple[Any, ...]]] = [

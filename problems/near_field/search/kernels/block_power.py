@@ -94,7 +94,7 @@ def power_iteration(
         np.dot(Zc, Y.T, W)  # Wᵀ with W = YZᴴ = YYᴴQ
         _combine(V, Q, conjugate)
         _combine(V, W, Q)
-        if not (values[p - K - 1] <= SLOW * values[p - K] and values[p - K] >= FAINT * values[p - 1]):
+        if not (values[p - K - 1] <= SLOW * values[p - K] and values[p - K] > FAINT * values[p - 1]):
             break
         residual = _residual(Q, conjugate, values, K)
         allowed = angle * (values[p - K] - values[p - K - 1])
@@ -119,7 +119,7 @@ def fix_phases(U: Complex[ndarray, "m k"]) -> Complex[ndarray, "m k"]:
             square = U[m, k].real * U[m, k].real + U[m, k].imag * U[m, k].imag
             if square > largest:
                 largest, pivot = square, U[m, k]
-        turn = pivot.conjugate() / abs(pivot)
+        turn = pivot.conjugate() * (1.0 / abs(pivot))
         for m in range(len(U)):
             fixed[m, k] = U[m, k] * turn
     return fixed

@@ -15,7 +15,7 @@ from .misfit import misfit_and_derivatives
 __all__ = ["inverse_curvature"]
 
 CERTAIN = 1e-10
-"""Least pivot of the curvature, scaled to a unit diagonal, of which an inverse is formed.
+"""Least pivot of the curvature, scaled to a unit diagonal, and of AᴴA, relative to M, from which an inverse is formed.
 
 The curvature carries rounding errors of some 1e-15, so that the inverse is right to some 1e-5 at least."""
 
@@ -74,16 +74,16 @@ def inverse_curvature(
 ) -> Float[ndarray, "n n"]:
     """H(F)⁻¹·H(G)·H(F)⁻¹ in [rad, m], or H(F)⁻¹ if G has no columns; coordinates on an edge of the box are held.
 
-    Rows and columns of held coordinates are 0. All elements are NaN if H(F) is singular.
+    Rows and columns of held coordinates are 0. All elements are NaN if H(F) is singular or sources coincide.
     """
     n, d = len(x), len(unit)
-    H = misfit_and_derivatives(wavelength, wavefront, geometry, M, F, unit, x)[2]
+    _, _, H, apart = misfit_and_derivatives(wavelength, wavefront, geometry, M, F, unit, x)
     free, scale = np.empty(n, np.bool_), np.empty(n)
     for i in range(n):
         c = i % d
         free[i] = lower[c] < x[i] < upper[c]
         scale[i] = unit[c] if c < d - 1 else -x[i] * x[i] * unit[c]  # ∂θ/∂z
-    if not _invert(H, free):
+    if not apart > CERTAIN or not _invert(H, free):
         H[:] = math.nan
         return H
     C = H
