@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Annotated, ClassVar, Literal, final
+from typing import Annotated, ClassVar, Literal, TypeAlias, final
 
 import numpy as np
+from jaxtyping import Complex
+from numpy import ndarray
 
 from nfbench import Formulation, Ge, Gt, Instance, Le, Minimize, Solution
 
@@ -19,6 +21,8 @@ from ..wavefronts import Wavefront
 from .music import SLOW_S, search_s
 
 __all__ = ["GridRefine"]
+
+Objective: TypeAlias = Literal["esf", "wsf", "dml"]
 
 MANY = 2 * 10**7  # grid points that may not fit in memory
 
@@ -58,7 +62,7 @@ class GridRefine(Formulation):
     wavefront: Wavefront | None = None
     sources: Sources = "known"
     criterion: Criterion = "ne"
-    objective: Literal["esf", "wsf", "dml"] = "esf"
+    objective: Objective = "esf"
 
     def warnings(self, scenario: NearField) -> list[str]:
         counts = grid_size(scenario.manifold(), *scenario.box(), self.density)
@@ -82,20 +86,29 @@ class GridRefine(Formulation):
         if K == 0:
             return Solution(np.empty((0, instance.manifold.dimension)))
         grid = response_grid(instance.manifold.under(self.wavefront), instance.lower, instance.upper, self.density)
-        M, T = instance.Y.shape
-        if self.objective == "dml":
-            F = compress(instance.Y) / math.sqrt(T)
-            found = search_greedily(F, grid, K, self.sweeps)
-            noise, spread = found.value / max(M - K, 1), None
-        else:
-            subspace = decompose(instance.Y, K)
-            excess = np.maximum(subspace.eigenvalues - subspace.noise, 0.0)  # λ_i − σ̂²
-            deviation = np.sqrt(subspace.eigenvalues)
-            wsf = subspace.U_s * (excess / deviation)
-            F = wsf if self.objective == "wsf" else subspace.U_s
-            found = search_greedily(F, grid, K, self.sweeps)
-            noise = subspace.noise
-            with np.errstate(divide="ignore"):
-                spread = None if self.objective == "wsf" else subspace.U_s * (deviation / excess)
-        theta = found.x.reshape(K, -1)
-        return Solution(theta, standard_errors(theta, grid.manifold, grid.lower, grid.upper, F, noise, T, spread))
+        T = instance.Y.shape[1]
+        F, spread, noise = _factors(instance.Y, K, self.objective)
+        found = search_greedily(F, grid, K, self.sweeps)
+        if noise is None:
+            noise = found.value / max(len(F) - K, 1)
+        theta, box = found.x.reshape(K, -1), (grid.lower, grid.upper)
+        return Solution(theta, standard_errors(theta, grid.manifold, *box, F, noise, T, spread))
+
+
+def _factors(
+    Y: Complex[ndarray, "m t"], K: int, objective: Objective
+) -> tuple[Complex[ndarray, "m c"], Complex[ndarray, "m c"] | None, float | None]:
+    """Return F of J = ‖(I − P_A)F‖², the factor G of its ``covariance``, and σ̂², which is J/(M − K) where it is None.
+
+    With the eigenvalues λ_i of R̂, F is U_s for ESF and U_s·diag((λ_i − σ̂²)/√λ_i) for WSF, where a weight is 0 if
+    λ_i <= σ̂². For DML, FFᴴ = R̂.
+    """
+    if objective == "dml":
+        if not np.isfinite(Y).all():
+            raise ValueError("Y: expected finite data, got NaN or infinite entries")
+        return compress(Y) / math.sqrt(Y.shape[1]), None, None
+    U_s, eigenvalues, noise = decompose(Y, K)
+    deviation, excess = np.sqrt(eigenvalues), eigenvalues - noise
+    if objective == "wsf":
+        return U_s * np.divide(excess, deviation, out=np.zeros(K), where=excess > 0), None, noise
+    return U_s, U_s * np.divide(deviation, excess, out=np.full(K, math.nan), where=excess > 0), noise

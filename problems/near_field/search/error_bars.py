@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
 from jaxtyping import Complex, Float
 from numpy import ndarray
 
@@ -35,9 +34,8 @@ def standard_errors(
     The arguments are those of ``covariance``.
     """
     C = covariance(theta, manifold, lower, upper, F, noise, snapshots, spread)
-    variance = np.diag(C).reshape(theta.shape)
     deviations = position_bounds(C, theta)
-    deviations[(variance == 0).any(axis=1)] = math.nan  # on an edge
+    deviations[((theta <= lower) | (theta >= upper)).any(axis=1)] = math.nan
     columns = {f"std_{k}_m": float(deviation) for k, deviation in enumerate(deviations, start=1)}
     columns["std_m"] = math.sqrt(deviations @ deviations / len(deviations))
     return columns
@@ -58,7 +56,7 @@ def covariance(
     With H(F) = Re[(DᴴP⊥D) ⊙ (A⁺FFᴴA⁺ᴴ)ᵀ] at the estimate it is (σ²/2T)·H(F)⁻¹·H(G)·H(F)⁻¹. For F = L/√T, LLᴴ = YYᴴ,
     and for WSF, F = U_s·diag((λ_i − σ²)/√λ_i), G is F: what is left, (σ²/2T)·H⁻¹, tends to the deterministic and to the
     stochastic Cramér–Rao bound. For F = U_s·diag(w_i), G = U_s·diag(w_i²·√λ_i/(λ_i − σ²)) (Viberg & Ottersten 1991,
-    doi:10.1109/78.80966, theorem 2). All elements are NaN if the data do not determine the sources.
+    doi:10.1109/78.80966). All elements are NaN if the data do not determine the sources.
 
     theta: estimated sources [rad, m], shape (K, d).
     manifold: array and wavefront model.

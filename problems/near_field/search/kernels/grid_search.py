@@ -8,6 +8,8 @@ responses.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from jaxtyping import Complex, Float, Int
 from numpy import ndarray
@@ -82,6 +84,16 @@ def _products(
         _row_products(block, 0, rows, first, count, p, out)
 
 
+@compiled()
+def _start(b: Float[ndarray, "2 c p"], M: int, remaining: Float[ndarray, "2 c p"], left: Float[ndarray, " p"]) -> None:
+    """The state in which no source is chosen: a_pᴴF is b, and ‖a_p‖² is M."""
+    for p in range(len(left)):
+        left[p] = M
+    for j in range(b.shape[1]):
+        for p in range(len(left)):
+            remaining[0, j, p], remaining[1, j, p] = b[0, j, p], b[1, j, p]
+
+
 @compiled(SUMS)
 def _remove(
     t: Float[ndarray, "2 rows p"],
@@ -105,7 +117,8 @@ def _best(
     b: Float[ndarray, "2 c p"], columns: int, left: Float[ndarray, " p"], least: float, gain: Float[ndarray, " p"]
 ) -> int:
     """The point of the greatest gain ‖b‖²/left; it is 0 where ``left`` is below ``least``."""
-    gain[:] = 0.0
+    for p in range(uint(len(left))):
+        gain[p] = 0.0
     for c in range(columns):
         for p in range(uint(len(left))):
             gain[p] += b[0, c, p] * b[0, c, p] + b[1, c, p] * b[1, c, p]
@@ -129,7 +142,10 @@ def _orthonormalize(Q: Float[ndarray, "2 rows padded"], k: int) -> None:
                 Q[0, k, m] -= x * re - y * im
                 Q[1, k, m] -= x * im + y * re
     square, _ = inner_product(Q, uint(k), Q, uint(k))
-    Q[:, k] /= np.sqrt(square) if square > 0.0 else 1.0
+    scale = 1.0 / math.sqrt(square) if square > 0.0 else 1.0
+    for m in range(Q.shape[2]):
+        Q[0, k, m] *= scale
+        Q[1, k, m] *= scale
 
 
 @compiled()
@@ -147,14 +163,21 @@ def choose_greedily(
     array = ArrayModel(wavelength, wavefront, geometry, M)
     rows, c, d = pack(F, geometry.shape[1]), F.shape[1], points.shape[1]
     P = len(points)
-    b, t, left, gain = np.empty((2, c, P)), np.empty((2, 1, P)), np.full(P, float(M)), np.empty(P)
+    b, remaining, t, left, gain = (
+        np.empty((2, c, P)),
+        np.empty((2, c, P)),
+        np.empty((2, 1, P)),
+        np.empty(P),
+        np.empty(P),
+    )
     _products(array, points, table, rows, 0, c, b)
-    remaining = b.copy()
+    _start(b, M, remaining, left)
     Q = np.zeros((2, -(-K // ROWS) * ROWS, geometry.shape[1]))
     x, w = np.empty(K * d), np.empty(c, np.complex128)
     for k in range(K):
         best = _best(remaining, c, left, SPANNED * M, gain)
-        x[k * d : (k + 1) * d] = points[best]
+        for i in range(d):
+            x[k * d + i] = points[best, i]
         if k == K - 1:
             break
         respond(array, source_at(points, best, 0, d, wavelength), Q, k)
@@ -208,7 +231,8 @@ def choose_replacements(
     K, rows = len(x) // d, pack(F, geometry.shape[1])
     A = np.zeros((2, -(-K // ROWS) * ROWS, geometry.shape[1]))
     X = np.empty((1, len(x)))
-    X[0] = x
+    for i in range(len(x)):
+        X[0, i] = x[i]
     for k in range(K):
         respond(array, source_at(X, 0, k * d, d, wavelength), A, k)
     h, t, left, gain = np.empty((2, K, P)), np.empty((2, max(K - 1, 1), P)), np.empty(P), np.empty(P)
@@ -226,12 +250,13 @@ def choose_replacements(
                 re, im = inner_product(A, uint(i + (i >= k)), A, uint(o + (o >= k)))
                 L[i, o] = complex(re, im)
         factorize(L, M)
-        left[:], remaining[:] = float(M), b
+        _start(b, M, remaining, left)
         for i in range(K - 1):
-            W[i] = B[i + (i >= k)]
-            for o in range(i):
-                W[i] -= L[i, o] * W[o]
-            W[i] /= L[i, i]
+            for j in range(c):
+                W[i, j] = B[i + (i >= k), j]
+                for o in range(i):
+                    W[i, j] -= L[i, o] * W[o, j]
+                W[i, j] *= 1.0 / L[i, i].real
             _substitute(h, i + (i >= k), L, i, t)
             _remove(t, i, W[i], remaining, left)
         best = _best(remaining, c, left, SPANNED * M, gain)

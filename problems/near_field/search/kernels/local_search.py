@@ -182,7 +182,10 @@ def local_search(
     array, box = ArrayModel(wavelength, wavefront, geometry, M), Box(lower, upper, unit)
     n, d = len(start), len(unit)
     fit = fit_of(pack(F, geometry.shape[1]), n // d, d)
-    energy = np.sum(fit.F * fit.F)
+    energy = 0.0
+    for m in range(M):
+        for j in range(F.shape[1]):
+            energy += F[m, j].real ** 2 + F[m, j].imag ** 2
     vectors, matrices = np.empty((6, n)), np.empty((2, n, n))
     model = Model(vectors[0], matrices[0], vectors[1], vectors[2], vectors[3], np.empty(n, np.bool_), matrices[1])
     z, trial = vectors[4], vectors[5]
@@ -211,7 +214,8 @@ def local_search(
                 break
             damping, growth = damping * growth, 2.0 * growth
             continue
-        z[:], best[:] = trial, X[0]
+        for i in range(n):
+            z[i], best[i] = trial[i], X[0, i]
         J, pivot = value, smallest
         derivatives(array, fit, X, unit, model.g, model.H)
         damping *= max(0.1, 1.0 - (2.0 * drop / predicted - 1.0) ** 3)

@@ -180,7 +180,8 @@ def _phase_slopes(
 def _gradient(fit: Fit, k: int, d: int, g: Float[ndarray, " n"]) -> None:
     """g_ki = Im Σ_m t_ki·a_k·z_k with z_k = R*·c_kᵀ."""
     R, A, w = fit.R, fit.A, fit.w
-    w[:] = 0.0
+    for m in range(uint(R.shape[2])):
+        w[0, 0, m] = w[1, 0, m] = 0.0
     for j in range(uint(R.shape[1])):
         re, im = fit.C[k, j].real, fit.C[k, j].imag
         for m in range(uint(R.shape[2])):
@@ -303,7 +304,8 @@ def misfit_and_derivatives(
     array = ArrayModel(wavelength, wavefront, geometry, M)
     fit = fit_of(pack(F, geometry.shape[1]), len(x) // len(unit), len(unit))
     X = np.empty((1, len(x)))
-    X[0] = x
+    for i in range(len(x)):
+        X[0, i] = x[i]
     J, pivot = misfit(array, fit, X)
     g, H = np.empty(len(x)), np.empty((len(x), len(x)))
     derivatives(array, fit, X, unit, g, H)
