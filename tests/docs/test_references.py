@@ -103,6 +103,8 @@ range_m = [0.1, 0.5]
 rician_k = [inf, 10.0]
 [[formulation]]
 kind = "neef"
+[[formulation]]
+kind = "grid-refine"
 [[solver]]
 kind = "random-search"
 [budget]

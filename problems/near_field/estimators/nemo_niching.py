@@ -27,8 +27,8 @@ class NemoNiching(Formulation):
     """Multimodal optimization without deflation: one search of one RLS problem, whose K deepest minima are the sources.
 
     The minima are taken from the solver's last population, which the solver must report; ``crowding-de`` is designed to
-    hold many minima at once. Individuals are processed in the order of their values. Of those from which L-BFGS-B
-    reaches the same minimum, only the best is used; these evaluations do not count towards the budget. If the
+    hold many minima at once. Individuals are processed in the order of their values. Of those from which a local
+    search reaches the same minimum, only the best is used; these evaluations do not count towards the budget. If the
     population contains fewer than K minima, the best remaining individuals complete the estimate. A minimum need not be
     a source: without deflation, a sidelobe of a strong source may be deeper than the minimum of a weak source.
 

@@ -52,6 +52,7 @@ class ESF(Problem):
             raise ValueError(f"lower, upper: expected shape ({manifold.dimension},), got {lower.shape}, {upper.shape}")
         self._sources = U_s.shape[1]
         self.lower, self.upper = np.tile(lower, self._sources), np.tile(upper, self._sources)
+        self.factor = U_s  # F of J = ‖(I − P_A)F‖²
         kernels.warm_up()
         fit = *manifold.packed, RIDGE * manifold.elements, *kernels.pack_subspace(U_s)
         self._kernel = partial(kernels.esf, *fit)
