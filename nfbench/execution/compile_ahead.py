@@ -19,10 +19,10 @@ LONGEST_S = 600.0  # time limit for the warm-up of one plugin of somebody else
 
 
 def warm_up(study: Study, solvers: Iterable[PluginSpec] | None = None) -> None:
-    """Warm up the scenario, the formulations and the solvers, where the user sees their messages. Workers then find the compiled code.
+    """Warm up the scenario, the formulations and the solvers, where the user sees their messages.
 
-    A plugin that cannot be made, or whose ``warm_up`` fails, is left out: its runs fail later, with the reason. The
-    ``warm_up`` of a plugin that is not nfbench's own runs in a process of its own.
+    Workers then find the compiled code. A plugin that cannot be made, or whose ``warm_up`` fails, is left out: its runs
+    fail later, with the reason. The ``warm_up`` of a plugin that is not nfbench's own runs in a process of its own.
 
     study: the study whose scenario and formulations are warmed up.
     solvers: the solvers to warm up; None: all solvers of the study.

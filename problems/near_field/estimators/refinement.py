@@ -22,9 +22,9 @@ def refine(problem: Problem, x: Float[ndarray, " n"], manifold: Manifold) -> Flo
     """Return a local minimizer within the box, found from x; the result is never worse than x.
 
     A problem that is a misfit ‖(I − P_A)F‖² and nothing else, which has F as its attribute ``factor``, is minimized by
-    Levenberg–Marquardt (``search_locally``), that of one source given others too; any other, such as RLS with repulsion, by L-BFGS-B (Byrd, Lu, Nocedal &
-    Zhu 1995). Both measure angles in beamwidths and ranges as inverse ranges in depths of focus, so that a minimum is
-    equally wide at all ranges.
+    Levenberg–Marquardt (``search_locally``); ConditionalFit too, with the other sources held. Any other problem, such
+    as RLS with repulsion, is minimized by L-BFGS-B (Byrd, Lu, Nocedal & Zhu 1995). Both measure angles in beamwidths
+    and ranges as inverse ranges in depths of focus, so that a minimum is equally wide at all ranges.
 
     problem: problem with a gradient, RLS, SubspaceFit or ConditionalFit.
     x: starting point [rad, m], shape (n,), which consists of n/d sources one after another, inside the box.

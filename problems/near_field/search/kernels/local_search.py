@@ -113,17 +113,17 @@ def _solve_free(model: Model, damping: float) -> None:
 
 
 @compiled()
-def _step(model: Model, damping: float) -> tuple[float, bool]:
+def _step(model: Model, damping: float, fixed: int) -> tuple[float, bool]:
     """The step s within its limits; returns the decrease of J that the model predicts, and whether a limit was met.
 
-    Coordinates at an edge of the box from which the gradient points outwards are held. What leaves the limits is put
-    on them, and the other coordinates are solved again given those.
+    The first ``fixed`` coordinates are held, and those at an edge of the box from which the gradient points outwards.
+    What leaves the limits is put on them, and the other coordinates are solved again given those.
     """
     g, H, low, high, s, held = model.g, model.H, model.low, model.high, model.s, model.held
     n = len(g)
     for i in range(n):
         s[i] = 0.0
-        held[i] = (low[i] >= 0.0 and g[i] >= 0.0) or (high[i] <= 0.0 and g[i] <= 0.0)
+        held[i] = i < fixed or (low[i] >= 0.0 and g[i] >= 0.0) or (high[i] <= 0.0 and g[i] <= 0.0)
     limited = False
     for _ in range(n):
         _solve_free(model, damping)
@@ -177,8 +177,12 @@ def local_search(
     upper: Float[ndarray, " d"],
     unit: Float[ndarray, " d"],
     start: Float[ndarray, " n"],
+    fixed: int,
 ) -> tuple[Float[ndarray, " n"], float, Float[ndarray, "n n"], int, float]:
-    """A local minimizer x, its J and H, the number of steps tried, and the least pivot of AᴴA relative to M."""
+    """A local minimizer x, its J and H, the number of steps tried, and the least pivot of AᴴA relative to M.
+
+    The first ``fixed`` coordinates keep their values.
+    """
     array, box = ArrayModel(wavelength, wavefront, geometry, M), Box(lower, upper, unit)
     n, d = len(start), len(unit)
     fit = fit_of(pack(F, geometry.shape[1]), n // d, d)
@@ -198,7 +202,7 @@ def local_search(
     damping, growth, steps = FIRST_DAMPING, 2.0, 0
     while steps < ITERATIONS and damping <= LAST_DAMPING:
         _limit(model, box, z)
-        predicted, limited = _step(model, damping)
+        predicted, limited = _step(model, damping, fixed)
         if not predicted > ENOUGH * J + ROUNDING * energy:
             if not limited:
                 break
