@@ -1,8 +1,9 @@
 """Speed of a localization: ``OMP_NUM_THREADS=1 python tests/benchmarks/localization.py`` prints the tables.
 
 The first table has the time of a whole ``solve`` of grid-refine from Y, of its parts, and of NEEF-DE with 60,000
-evaluations, on the same scenes in turn, as medians over the scenes. Each scene is used once per round, so that its data
-come from memory. "target" is what issue 14 asks for on a quiet machine.
+evaluations, on the same scenes in turn, as medians over the scenes. Times are those of the processor: on a shared
+machine, a long call is interrupted more often than a short one, which would flatter the ratio. Each scene is used once,
+so that its data come from memory. "target" is what issue 14 asks for on a quiet machine.
 
 The second table counts the scenes in which grid-refine ends at the best known minimum of its objective, to within a
 millionth: the smallest of its own and of what L-BFGS-B finds from the true sources and from the estimate.
@@ -12,6 +13,7 @@ from __future__ import annotations
 
 import statistics
 import sys
+import time
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -21,7 +23,7 @@ from kernels import PLANE, SPACE
 from rich.console import Console
 from rich.table import Table
 from threadpoolctl import threadpool_limits
-from timing import in_turn, ratio
+from timing import ratio
 
 from nfbench import minimize
 from nfbench.execution.environment import describe_environment
@@ -78,8 +80,10 @@ def speed() -> Table:
     for name, (scenario, target, _) in LINE_OF_SIGHT.items():
         timed: list[list[float]] = [[] for _ in range(7)]
         for calls in [parts(instance) for instance in scenes(scenario, SCENES)]:
-            for times, new in zip(timed, in_turn(calls, [1] * 7, 1), strict=True):
-                times += new
+            for times, call in zip(timed, calls, strict=True):
+                start = time.thread_time()
+                call()
+                times.append(time.thread_time() - start)
         whole, de, subspace, search, svd, local, slow = timed
         table.add_row(
             name,

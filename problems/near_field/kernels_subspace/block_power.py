@@ -12,6 +12,7 @@ __all__ = ["fix_phases", "power_iteration"]
 
 STEPS = 8
 SLOW = 0.05  # λ_{K+1}/λ_K above which the Gram matrix is faster
+SETTLED = 1e-7  # r/(λ_K − λ_{K+1}), whose square is the error of the Ritz pairs, below which they are not renewed
 FAINT = 1e-12  # λ_K/λ_1 below which products with Y carry too much of the rounding errors of λ_1
 
 
@@ -75,7 +76,7 @@ def power_iteration(
 
     Each step has the Ritz pairs (λ, QV) of a block of p > K vectors. Their residuals r = ‖YYᴴQV − QVΛ‖ bound the angle
     to the eigenvectors by r over the gap of the eigenvalues; the power step that gave the residuals reduces it by up to
-    4λ_{K+1}/λ_K more. The Ritz pairs after it are returned, as single vectors are less accurate than their span.
+    4λ_{K+1}/λ_K more. If the single vectors are less accurate than their span, the Ritz pairs after it are returned.
     """
     M, p = len(Y), len(start)
     Q, W, conjugate = np.dot(start, Y.T), np.empty((p, M), np.complex128), np.empty((p, M), np.complex128)
@@ -100,6 +101,10 @@ def power_iteration(
         allowed = angle * (values[p - K] - values[p - K - 1])
         if residual * min(1.0, 4.0 * values[p - K - 1] / values[p - K]) <= allowed:
             converged = True
+            if residual <= SETTLED * (values[p - K] - values[p - K - 1]):
+                _orthonormalize(Q)
+                W[:K] = Q[:K]
+                break
         elif residual * (residual / last) ** (STEPS - 1 - step) > allowed:
             break
         last = residual

@@ -32,7 +32,7 @@ def search_greedily(F: Complex[ndarray, "m c"], grid: ResponseGrid, sources: int
     """
     packed, box = grid.manifold.packed, (grid.manifold, grid.lower, grid.upper)
     start, b = kernels.choose_greedily(*packed, grid.points, grid.table, F, sources)
-    best = search_locally(F, *box, start, grid.unit)
+    best = search_locally(F, *box, start)
     d = grid.manifold.dimension
     for _ in range(sweeps):
         before, chosen = best, best
@@ -45,7 +45,7 @@ def search_greedily(F: Complex[ndarray, "m c"], grid: ResponseGrid, sources: int
                 continue
             x = best.x.copy()
             x[k * d : (k + 1) * d] = grid.points[points[k]]
-            trial = search_locally(F, *box, x, grid.unit)
+            trial = search_locally(F, *box, x)
             if trial.value < best.value:
                 best = trial
         if not best.value < before.value * (1 - 1e-9):

@@ -13,7 +13,7 @@ from numpy import ndarray
 from ..geometry import direction_derivatives
 from ..wavefronts import Manifold, Wavefront
 from . import kernels
-from .local_search import resolution, unit_of
+from .local_search import resolution
 
 __all__ = ["ResponseGrid", "grid_size", "resolution_grid", "response_grid"]
 
@@ -29,7 +29,6 @@ class ResponseGrid:
     manifold: array and wavefront model.
     lower: lower bounds of one source [rad, m], shape (d,).
     upper: upper bounds of one source [rad, m], shape (d,).
-    unit: units of the coordinates of a source, see ``unit_of``.
     points: candidates [rad, m], shape (p, d).
     table: responses as the kernels read them, shape (2, p, padded), or (2, 0, padded) if they would be too large.
     """
@@ -37,7 +36,6 @@ class ResponseGrid:
     manifold: Manifold
     lower: Float[ndarray, " d"]
     upper: Float[ndarray, " d"]
-    unit: Float[ndarray, " d"]
     points: Float[ndarray, "p d"]
     table: Float[ndarray, "2 p padded"]
 
@@ -66,7 +64,7 @@ def _remembered(
     points = resolution_grid(manifold, low, high, density)
     width = manifold.packed[2].shape[1]
     stored = points if 16 * width * len(points) < LARGEST_TABLE else points[:0]
-    return ResponseGrid(manifold, low, high, unit_of(manifold), points, kernels.respond_all(*manifold.packed, stored))
+    return ResponseGrid(manifold, low, high, points, kernels.respond_all(*manifold.packed, stored))
 
 
 def resolution_grid(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -33,6 +34,7 @@ class LocalMinimum(NamedTuple):
     pivot: float
 
 
+@lru_cache(maxsize=64)
 def resolution(manifold: Manifold) -> tuple[float, float]:
     """Return the beamwidth λ/D [rad] at broadside and the depth of focus 4λ/D² in inverse range [1/m].
 
@@ -45,10 +47,13 @@ def resolution(manifold: Manifold) -> tuple[float, float]:
     return manifold.wavelength_m / aperture, 4 * manifold.wavelength_m / aperture**2
 
 
+@lru_cache(maxsize=64)
 def unit_of(manifold: Manifold) -> Float[ndarray, " d"]:
     """Return the units of the coordinates of one source: beamwidths [rad], and the depth of focus [1/m]."""
     beamwidth, depth = resolution(manifold)
-    return np.array([beamwidth] * (manifold.dimension - 1) + [depth])
+    unit = np.array([beamwidth] * (manifold.dimension - 1) + [depth])
+    unit.flags.writeable = False
+    return unit
 
 
 def search_locally(
@@ -57,7 +62,6 @@ def search_locally(
     lower: Float[ndarray, " d"],
     upper: Float[ndarray, " d"],
     x: Float[ndarray, " n"],
-    unit: Float[ndarray, " d"] | None = None,
     fixed: int = 0,
 ) -> LocalMinimum:
     """Return a local minimizer of J = ‖(I − P_A)F‖² within the box, and what is known there; J is never above J(x).
@@ -73,9 +77,8 @@ def search_locally(
     lower: lower bounds of one source [rad, m], shape (d,).
     upper: upper bounds of one source [rad, m], shape (d,).
     x: starting point [rad, m], shape (K·d,), inside the box.
-    unit: ``unit_of(manifold)``, if it is known already.
     fixed: number of sources at the beginning of x that keep their positions.
     """
     kernels.warm_up()
-    unit = unit_of(manifold) if unit is None else unit
-    return LocalMinimum(*kernels.local_search(*manifold.packed, F, lower, upper, unit, x, fixed * manifold.dimension))
+    held = fixed * manifold.dimension
+    return LocalMinimum(*kernels.local_search(*manifold.packed, F, lower, upper, unit_of(manifold), x, held))
