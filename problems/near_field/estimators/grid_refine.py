@@ -16,7 +16,7 @@ from ..enumeration import Criterion, Sources, how_many
 from ..geometry import direction_derivatives
 from ..instance import NearFieldInstance
 from ..objectives import kernels
-from ..objectives.subspace_fitting import ESF
+from ..objectives.subspace_fitting import SubspaceFit
 from ..scenario import NearField
 from ..subspace import compress, signal_subspace
 from ..wavefronts import Manifold, Wavefront
@@ -79,7 +79,7 @@ class GridRefine(Formulation):
             return np.empty((0, instance.manifold.dimension))
         manifold = instance.manifold.under(self.wavefront)
         U_s = signal_subspace(instance.Y, K)
-        esf = ESF(U_s, manifold, instance.lower, instance.upper)
+        esf = SubspaceFit(U_s, manifold, instance.lower, instance.upper)
         grid = resolution_grid(manifold, instance.lower, instance.upper, self.density)
 
         theta = np.empty((0, manifold.dimension))

@@ -13,8 +13,8 @@ from nfbench import Formulation, Instance, Minimize
 
 from ..enumeration import Criterion, Sources, how_many
 from ..instance import NearFieldInstance
-from ..objectives.subspace_fitting import ESF
-from ..subspace import signal_subspace
+from ..objectives.factors import Objective, factor
+from ..objectives.subspace_fitting import SubspaceFit
 from ..wavefronts import Wavefront
 from .refinement import refine
 
@@ -26,6 +26,10 @@ __all__ = ["Neef"]
 class Neef(Formulation):
     """Near-field eigen-subspace fitting: minimizes ESF once over all sources (Mousavirad et al., Algorithm 2).
 
+    objective: what is fitted. "esf" is the signal subspace with unit weights, as in the paper. "wsf" weights its
+        eigenvectors by their eigenvalues, which is as accurate as possible also for close and for coherent sources, at
+        the same cost. "dml" is deterministic maximum likelihood, which fits all data: as accurate, also with fewer
+        snapshots than sources, but up to min(M, T)/K times as expensive.
     wavefront: wavefront model that the estimator assumes, "exact", "fresnel", "paper" or "planar"; None: that of the
         scenario.
     sources: number of sources to search for: "known" is the true number, "estimate" is an estimate from the data by
@@ -37,6 +41,7 @@ class Neef(Formulation):
 
     accepts: ClassVar[type[Instance]] = NearFieldInstance
 
+    objective: Objective = "esf"
     wavefront: Wavefront | None = None
     sources: Sources = "known"
     criterion: Criterion = "ne"
@@ -46,12 +51,15 @@ class Neef(Formulation):
         return None if self.refine else X.reshape(len(X), -1, instance.manifold.dimension)
 
     def solve(self, instance: NearFieldInstance, minimize: Minimize) -> Float[ndarray, "k d"]:
-        """Return the sources (K, d) [rad, m]; raises Incompatible if there are fewer snapshots than sources."""
+        """Return the sources (K, d) [rad, m].
+
+        Raises Incompatible if there are fewer snapshots than sources, except for "dml".
+        """
         K = how_many(instance, self.sources, self.criterion)
         if K == 0:
             return np.empty((0, instance.manifold.dimension))
-        U_s = signal_subspace(instance.Y, K)
+        F = factor(instance.Y, K, self.objective)
         manifold = instance.manifold.under(self.wavefront)
-        problem = ESF(U_s, manifold, instance.lower, instance.upper)
+        problem = SubspaceFit(F, manifold, instance.lower, instance.upper, sources=K)
         x = minimize(problem).x
         return (refine(problem, x, manifold) if self.refine else x).reshape(K, -1)

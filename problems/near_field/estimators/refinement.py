@@ -35,7 +35,7 @@ def refine(problem: Problem, x: Float[ndarray, " n"], manifold: Manifold) -> Flo
     focus. In these units a minimum is equally wide at all ranges, and the first step, of length one, stays in the
     valley in which it starts.
 
-    problem: problem with a gradient, RLS or ESF.
+    problem: problem with a gradient, RLS or SubspaceFit.
     x: starting point [rad, m], shape (n,), which consists of n/d sources one after another, inside the box.
     manifold: array and wavefront model.
     """

@@ -26,7 +26,7 @@ from nfbench.core.options import build
 from nfbench.problems.near_field.estimators.neef import Neef
 from nfbench.problems.near_field.estimators.nemo import Nemo
 from nfbench.problems.near_field.objectives.rls import RLS
-from nfbench.problems.near_field.objectives.subspace_fitting import ESF
+from nfbench.problems.near_field.objectives.subspace_fitting import SubspaceFit
 from nfbench.problems.near_field.scenario import NearField
 from nfbench.report.terminal import print_report
 
@@ -101,7 +101,7 @@ def test_neef_finds_the_sources():
     assert estimate.shape == (2, 2)
     assert instance.score(estimate)["rmse_m"] < 0.05
     (problem,) = problems
-    assert isinstance(problem, ESF)
+    assert isinstance(problem, SubspaceFit)
     assert_array_equal(problem.lower, np.tile(instance.lower, 2))
     assert_array_equal(problem.upper, np.tile(instance.upper, 2))
 
