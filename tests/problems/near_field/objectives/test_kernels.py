@@ -77,7 +77,7 @@ def test_esf_agrees_with_numpy_and_with_the_projector(array, wavefront, has_elev
         X = points(esf.lower, esf.upper)
         responses = [np.array([oracles.response(manifold, row) for row in x.reshape(sources, -1)]).T for x in X]
         squared = np.array([np.linalg.cond(A) for A in responses]) ** 2
-        known = squared < 1e10  # beyond, J is that of the others or not: both are right
+        known = squared < 1e10  # beyond, NumPy's J has no digits
         error = 1e-10 + 1e-14 * squared[known]
         values = esf.evaluate(X)
         assert known.sum() > 20
@@ -94,8 +94,8 @@ def test_near_coincident_candidates_stay_between_the_fits_without_and_with_the_t
     X = points(esf.lower, esf.upper)[:41]
     X[:, 2:4] = X[:, 0:2] + [gap, 0.0]
     for x, J in zip(X, esf.evaluate(X), strict=True):
-        A = manifold.response(x.reshape(3, 2)[[0, 2]]).T
-        assert 0 <= J <= oracles.esf(U_s, A) + 1e-9
+        without = [oracles.esf(U_s, manifold.response(x.reshape(3, 2)[[twin, 2]]).T) for twin in (0, 1)]
+        assert 0 <= J <= max(without) + 1e-9
 
 
 @EVERY

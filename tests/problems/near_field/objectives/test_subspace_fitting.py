@@ -203,7 +203,7 @@ def test_a_subspace_beyond_the_data_is_refused():
 
 
 def test_arguments_that_do_not_fit_are_refused():
-    with pytest.raises(ValueError, match=r"U_s: expected shape \(24, K\), got \(12, 2\)"):
+    with pytest.raises(ValueError, match=r"F: expected shape \(24, c\), got \(12, 2\)"):
         problem(PLANE, np.ones((12, 2), complex))
     with pytest.raises(ValueError, match=r"lower, upper: expected shape \(2,\)"):
         SubspaceFit(subspace(PLANE, 2), PLANE, *BOX[3])
