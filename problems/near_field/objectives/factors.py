@@ -22,7 +22,7 @@ def factor(Y: Complex[ndarray, "m t"], sources: int, objective: Objective) -> Co
 
     esf: U_s, unit weights (c = K).
     wsf: U_s·diag((λ_i − σ̂²)/√λ_i), weight 0 where λ_i <= σ̂², σ̂² the mean of the M − K smallest eigenvalues; attains
-        the stochastic Cramér–Rao bound (Viberg, Ottersten & Kailath 1991, doi:10.1109/78.97999) (c = K).
+        the stochastic Cramér–Rao bound (Viberg, Ottersten & Kailath 1991) (c = K).
     dml: L/√T with L·Lᴴ = Y·Yᴴ, so that J = tr((I − P_A)·R̂): deterministic maximum likelihood (Ziskind & Wax 1988,
         doi:10.1109/29.7543); also for fewer snapshots T than sources, and coherent sources (c = min(M, T)).
 

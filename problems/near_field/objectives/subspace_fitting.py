@@ -23,14 +23,14 @@ class SubspaceFit(Problem):
     """J(x) = ‖(I − P_A)F‖²_F = ‖F‖² − tr(BᴴG⁻¹B) with G = AᴴA, B = AᴴF; x = [θ_1 … θ_K], n = dK, 0 <= J <= ‖F‖².
 
     One family of objectives (Viberg & Ottersten 1991, doi:10.1109/78.80966), which differ in F: see ``factor``. The
-    gradient is that of a variable projection (Golub & Pereyra 1973, doi:10.1137/0710036). Rounding changes J by some
-    1e-15·‖F‖².
+    gradient is that of a variable projection (Golub & Pereyra 1973, doi:10.1137/0710036). J is a difference: rounding
+    changes it by some 1e-15·‖F‖² where responses are well apart, and by less than 1e-8·‖F‖² everywhere.
 
     P_A projects onto the span of the responses, whatever their number and order. Candidates whose G is nearly singular,
     as where sources run together or where K is near M, are evaluated by a rank-revealing factorization, which takes
-    longer. A response that is nearer to the span of the others than the rounding of the responses allows to tell, by
-    RANK in ``kernels/singular.py``, adds nothing to it: J jumps there, is that of the other sources, and the gradient
-    is that of the pseudo-inverse of A.
+    longer. A response closer to the span of the others than RANK (``kernels/singular.py``) adds nothing to it, because
+    rounding would decide in which direction it leaves the span. J then is that of the other sources, and jumps where a
+    source comes that close; the gradient is that of the pseudo-inverse of A.
 
     F: the factor, shape (M, c).
     manifold: array and wavefront model.

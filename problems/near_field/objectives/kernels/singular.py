@@ -25,8 +25,8 @@ __all__ = ["RANK", "orthogonalize", "singular_fit", "singular_misfit", "source_o
 RANK = 1e-16
 """The squared distance of a response from the span of others, relative to M, below which it adds nothing to the span.
 
-Responses are rounded to some 1e-16 to 1e-14, of arrays of one to a hundred wavelengths, which turns the direction in
-which such a response leaves the span by 1e-8 to 1e-6."""
+Phases are rounded to some 1e-15 of an array of a wavelength, and 1e-14 of one of a hundred. That turns the direction in
+which such a response leaves the span by 1e-7 to 1e-6."""
 
 _LONGER = 1.0 + 1e-9  # by which a square must exceed another, so that rounding does not decide between equals
 
@@ -61,8 +61,8 @@ def orthogonalize(
     """Return the rank r of the vectors v_k, the rows of V; v_k = Σ_{i<r} R_ik·q_i with r orthonormal rows q_i of Q.
 
     Modified Gram–Schmidt: the longest remainder comes next, once more orthogonalized (twice is enough; Giraud, Langou &
-    Rozložník 2005, doi:10.1016/j.camwa.2005.08.009), until no remainder has a square above ``least``. V takes the
-    remainders. Q and R are zero beyond the rank; R_ik is zero for i > j if k is pivots[j], chosen j-th.
+    Rozložník 2005), until no remainder has a square above ``least``. V takes the remainders. Q and R are zero
+    beyond the rank; R_ik is zero for i > j if k is pivots[j], chosen j-th.
     """
     n, m = V.shape
     Q[:] = 0.0
