@@ -31,7 +31,7 @@ from nfbench.problems.near_field.estimators.grid_refine import GridRefine
 from nfbench.problems.near_field.estimators.neef import Neef
 from nfbench.problems.near_field.estimators.refinement import _refine_by_quasi_newton, refine
 from nfbench.problems.near_field.instance import NearFieldInstance
-from nfbench.problems.near_field.objectives.subspace_fitting import ESF
+from nfbench.problems.near_field.objectives.subspace_fitting import SubspaceFit
 from nfbench.problems.near_field.scenario import NearField
 from nfbench.problems.near_field.search import response_grid, search_greedily
 from nfbench.problems.near_field.subspace import compress, decompose
@@ -60,7 +60,7 @@ def parts(instance: NearFieldInstance) -> list[Callable[[], object]]:
     """Return the whole, NEEF-DE, the two parts of the whole, the subspace by SVD, and both local searches."""
     U_s = decompose(instance.Y, instance.sources).U_s
     grid = response_grid(instance.manifold, instance.lower, instance.upper, GridRefine.density)
-    esf = ESF(U_s, instance.manifold, instance.lower, instance.upper)
+    esf = SubspaceFit(U_s, instance.manifold, instance.lower, instance.upper)
     start = search_greedily(U_s, grid, instance.sources, 0).x * 1.0005
     start = np.clip(start, esf.lower, esf.upper)
     return [
@@ -103,7 +103,7 @@ def speed() -> Table:
 
 def excess(instance: NearFieldInstance, options: dict) -> float:
     """Return the relative difference of J of grid-refine from the best known minimum."""
-    esf = ESF(decompose(instance.Y, instance.sources).U_s, instance.manifold, instance.lower, instance.upper)
+    esf = SubspaceFit(decompose(instance.Y, instance.sources).U_s, instance.manifold, instance.lower, instance.upper)
     x = GridRefine(**options).solve(instance, minimize).estimate.ravel()  # type: ignore[arg-type]
     others = [_refine_by_quasi_newton(esf, start, instance.manifold) for start in (x, instance.theta.ravel())]
     J = esf.value(x)

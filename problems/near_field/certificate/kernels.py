@@ -27,12 +27,12 @@ WIDER = 1.0 + 1e-9  # factor on lengths and boxes, for their rounding
 def _source(c: Float[ndarray, " d"], is_sine: bool) -> Source:
     """The source with coordinates c; with sines, u may be outside [−1, 1]."""
     if is_sine:
-        return Source(0.0, c[0], 1.0, 0.0, 1.0 / c[1])
+        return Source(0.0, c[0], 1.0, 0.0, 1.0 / c[1], 0.0, 0.0)  # the angles are for gradients only
     cos_azimuth, sin_azimuth = phasor(c[0] * (0.5 / math.pi))
     cos_elevation, sin_elevation = 1.0, 0.0
     if len(c) == 3:
         cos_elevation, sin_elevation = phasor(c[1] * (0.5 / math.pi))
-    return Source(cos_azimuth, sin_azimuth, cos_elevation, sin_elevation, 1.0 / c[-1])
+    return Source(cos_azimuth, sin_azimuth, cos_elevation, sin_elevation, 1.0 / c[-1], 0.0, 0.0)
 
 
 @compiled()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Annotated, ClassVar, Literal, TypeAlias, final
+from typing import Annotated, ClassVar, final
 
 import numpy as np
 from jaxtyping import Complex
@@ -14,15 +14,15 @@ from nfbench import Formulation, Ge, Gt, Instance, Le, Minimize, Solution
 
 from ..enumeration import Criterion, Sources, how_many
 from ..instance import NearFieldInstance
+from ..objectives.factors import Objective, factor
 from ..scenario import NearField
 from ..search import grid_size, response_grid, search_greedily, standard_errors
-from ..subspace import compress, decompose
+from ..search import warm_up as warm_up_search
+from ..subspace import decompose
 from ..wavefronts import Wavefront
 from .music import SLOW_S, search_s
 
 __all__ = ["GridRefine"]
-
-Objective: TypeAlias = Literal["esf", "wsf", "dml"]
 
 MANY = 2 * 10**7  # grid points that may not fit in memory
 
@@ -64,6 +64,9 @@ class GridRefine(Formulation):
     criterion: Criterion = "ne"
     objective: Objective = "esf"
 
+    def warm_up(self) -> None:
+        warm_up_search()
+
     def warnings(self, scenario: NearField) -> list[str]:
         counts = grid_size(scenario.manifold(), *scenario.box(), self.density)
         M, K, points = scenario.array.count, scenario.sources, math.prod(counts)
@@ -104,9 +107,7 @@ def _factors(
     λ_i <= σ̂². For DML, FFᴴ = R̂.
     """
     if objective == "dml":
-        if not np.isfinite(Y).all():
-            raise ValueError("Y: expected finite data, got NaN or infinite entries")
-        return compress(Y) / math.sqrt(Y.shape[1]), None, None
+        return factor(Y, K, objective), None, None
     U_s, eigenvalues, noise = decompose(Y, K)
     deviation, excess = np.sqrt(eigenvalues), eigenvalues - noise
     if objective == "wsf":

@@ -14,6 +14,7 @@ from nfbench import Formulation, Incompatible, Instance, Minimize
 from ..enumeration import Criterion, Sources, how_many
 from ..instance import NearFieldInstance
 from ..objectives.rls import RLS
+from ..search import warm_up as warm_up_search
 from ..subspace import compress
 from ..wavefronts import Wavefront
 from .music import pick_peaks
@@ -47,6 +48,9 @@ class NemoNiching(Formulation):
     wavefront: Wavefront | None = None
     sources: Sources = "known"
     criterion: Criterion = "ne"
+
+    def warm_up(self) -> None:
+        warm_up_search()
 
     def solve(self, instance: NearFieldInstance, minimize: Minimize) -> Float[ndarray, "k d"]:
         """Return the sources (K, d) [rad, m], the deepest minimum first; fewer if the population is smaller.

@@ -161,7 +161,7 @@ def _phase_slopes(
 ) -> None:
     """t_ki [rad] of source k per unit of its coordinates: angles [beamwidths], inverse range [depths of focus]."""
     d, q = len(unit), array.geometry
-    cos_a, sin_a, cos_e, sin_e, r = source_at(X, 0, k * d, d, array.wavelength)
+    cos_a, sin_a, cos_e, sin_e, r, _, _ = source_at(X, 0, k * d, d, array.wavelength)
     x, y, z = cos_e * cos_a, cos_e * sin_a, sin_e
     by_azimuth = 2.0 * math.pi * unit[0]
     by_elevation = 2.0 * math.pi * unit[1]

@@ -14,7 +14,7 @@ from nfbench.problems.near_field.estimators import grid_refine
 from nfbench.problems.near_field.estimators.grid_refine import GridRefine
 from nfbench.problems.near_field.estimators.refinement import refine
 from nfbench.problems.near_field.instance import NearFieldInstance
-from nfbench.problems.near_field.objectives.subspace_fitting import ESF
+from nfbench.problems.near_field.objectives.subspace_fitting import SubspaceFit
 from nfbench.problems.near_field.scenario import NearField
 from nfbench.problems.near_field.search import resolution, resolution_grid, search_locally
 from nfbench.problems.near_field.subspace import signal_subspace
@@ -49,8 +49,8 @@ def solve(instance: NearFieldInstance, **options) -> np.ndarray:
     return GridRefine(**options).solve(instance, never).estimate
 
 
-def esf_of(instance: NearFieldInstance) -> ESF:
-    return ESF(signal_subspace(instance.Y, instance.sources), instance.manifold, instance.lower, instance.upper)
+def esf_of(instance: NearFieldInstance) -> SubspaceFit:
+    return SubspaceFit(signal_subspace(instance.Y, instance.sources), instance.manifold, instance.lower, instance.upper)
 
 
 def excess(instance: NearFieldInstance, budget: int = 0, **options) -> float:

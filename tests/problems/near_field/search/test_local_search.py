@@ -9,7 +9,7 @@ from search_scenes import BOX, PLANE, SPACE, manifold, scene
 
 from nfbench.problems.near_field.channels import complex_normal
 from nfbench.problems.near_field.estimators.refinement import _refine_by_quasi_newton
-from nfbench.problems.near_field.objectives.subspace_fitting import ESF
+from nfbench.problems.near_field.objectives.subspace_fitting import SubspaceFit
 from nfbench.problems.near_field.search import kernels, search_locally, unit_of
 from nfbench.problems.near_field.subspace import compress, decompose
 
@@ -39,7 +39,7 @@ def test_the_minimum_is_that_of_l_bfgs_b(manifest, changes):
     for seed in range(8):
         instance = scene(seed, manifest, min_separation_deg=2.0, **changes)
         U_s = factor(instance, "esf")
-        esf, start = ESF(U_s, instance.manifold, instance.lower, instance.upper), instance.theta.ravel()
+        esf, start = SubspaceFit(U_s, instance.manifold, instance.lower, instance.upper), instance.theta.ravel()
         found = search_locally(U_s, instance.manifold, instance.lower, instance.upper, start)
         reference = _refine_by_quasi_newton(esf, start, instance.manifold)
         assert_allclose(found.value, esf.value(reference), rtol=1e-8)

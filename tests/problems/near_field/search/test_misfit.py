@@ -7,7 +7,7 @@ from search_scenes import BOX, manifold
 
 from nfbench.problems.near_field.channels import complex_normal
 from nfbench.problems.near_field.objectives.rls import RLS
-from nfbench.problems.near_field.objectives.subspace_fitting import ESF
+from nfbench.problems.near_field.objectives.subspace_fitting import SubspaceFit
 from nfbench.problems.near_field.search import kernels, unit_of
 
 WAVEFRONTS = ["exact", "fresnel", "paper", "planar"]
@@ -36,7 +36,7 @@ def found(model, F, theta):
 def test_value_and_gradient_are_those_of_esf(dimension, wavefront, sources):
     model, U_s, theta, step = case(dimension, wavefront, sources, sources)
     J, g, _, _ = found(model, U_s, theta)
-    value, gradient = ESF(U_s, model, *BOX[dimension]).value_and_gradient(theta.ravel())
+    value, gradient = SubspaceFit(U_s, model, *BOX[dimension]).value_and_gradient(theta.ravel())
     assert_allclose(J, value, rtol=1e-12)
     assert_allclose(2 * g, gradient * step, rtol=0, atol=1e-12 * np.abs(gradient * step).max())
 
