@@ -264,7 +264,7 @@ def whole_runs(instances: dict[str, NearFieldInstance]) -> Table:
     for name, instance in instances.items():
         for formulation, module, fast_class, plain_class, solver, evaluations in (
             (Nemo(), nemo, "RLS", NumPyRLS, DE(population=50), 15_000),
-            (Neef(), neef, "ESF", NumPyESF, DE(population=120), 60_000),
+            (Neef(), neef, "SubspaceFit", NumPyESF, DE(population=120), 60_000),
         ):
             compiled = getattr(module, fast_class)
             times: dict[type, list[float]] = {compiled: [], plain_class: []}

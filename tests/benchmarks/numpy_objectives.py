@@ -90,8 +90,12 @@ class NumPyESF(Problem):
 
     has_gradient = True
 
-    def __init__(self, U_s: ndarray, manifold: Manifold, lower: ndarray, upper: ndarray) -> None:
+    def __init__(
+        self, U_s: ndarray, manifold: Manifold, lower: ndarray, upper: ndarray, sources: int | None = None
+    ) -> None:
         self.sources = U_s.shape[1]
+        if sources not in (None, self.sources):
+            raise ValueError(f"sources: expected as many as columns of U_s, {self.sources}, got {sources}")
         self.lower, self.upper = np.tile(lower, self.sources), np.tile(upper, self.sources)
         self.manifold = manifold
         self.U_s, self.conj_U_s = U_s, np.ascontiguousarray(U_s.conj())
