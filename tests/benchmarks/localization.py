@@ -3,7 +3,7 @@
 The first table has the time of a whole ``solve`` of grid-refine from Y, of its parts, and of NEEF-DE with 60,000
 evaluations, on the same scenes in turn, as medians over the scenes. Times are those of the processor: on a shared
 machine, a long call is interrupted more often than a short one, which would flatter the ratio. Each scene is used once,
-so that its data come from memory. "target" is what issue 14 asks for on a quiet machine.
+so that its data come from memory. "target" is what a quiet machine should reach.
 
 The second table counts the scenes in which grid-refine ends at the best known minimum of its objective, to within a
 millionth: the smallest of its own and of what L-BFGS-B finds from the true sources and from the estimate.
