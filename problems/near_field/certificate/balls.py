@@ -119,7 +119,8 @@ def ball_bounds(sources: Charted, rho: Float[ndarray, " b"], U: Complex[ndarray,
 def cover(sources: Charted, rho: Float[ndarray, " k"], parts: int) -> tuple[Charted, Float[ndarray, " b"], list[int]]:
     """Return smaller balls that together hold each ball as far as it lies in Θ, their radii, and the first of each.
 
-    They surround the cubes of a grid with ``parts`` cubes along each axis of t.
+    They surround the cubes of a grid with ``parts`` cubes along each axis of t. A ball whose centre is where the bounds
+    of the phases do not hold is moved, and larger by as much.
     """
     chart, d = sources.chart, sources.C.shape[1]
     if parts == 1:
@@ -130,14 +131,15 @@ def cover(sources: Charted, rho: Float[ndarray, " k"], parts: int) -> tuple[Char
     cubes = cubes[np.sum(nearest**2, axis=1) < 1]
     centres: list[ndarray] = []
     matrices, radii, first = [], [], []
-    for c, S, r in zip(sources.C, sources.S, rho, strict=True):
+    for c, S, inverse, r in zip(sources.C, sources.S, sources.inverse, rho, strict=True):
         moved = c + (r * cubes) @ S.T
         reach = np.abs(S).sum(axis=1) * r / parts
         mine = moved[((moved + reach >= chart.lower) & (moved - reach <= chart.upper)).all(axis=1)]
+        placed = chart.analytic(mine)
         first.append(sum(len(part) for part in centres))
-        centres.append(mine)
+        centres.append(placed)
         matrices.append(np.tile(S, (len(mine), 1, 1)))
-        radii.append(np.full(len(mine), r / parts * np.sqrt(d)))
+        radii.append(r / parts * np.sqrt(d) + np.linalg.norm((placed - mine) @ inverse.T, axis=1))
     return charted(chart, np.concatenate(centres), np.concatenate(matrices)), np.concatenate(radii), first
 
 

@@ -42,7 +42,9 @@ SCALES = (0.15, 0.3, 0.5, 0.75, 1.0)  # parts of a segment, to the end of which 
 SHARES = {2: (1 / 4, 1 / 6, 1 / 10), 3: (1 / 2, 1 / 3, 1 / 5, 1 / 8)}  # β/α of the leaves that T4 tries, by dimension
 MOST_REGIONS = 14
 FLAT = 1e-6  # gradient by t that adds no more than about 1e-12 to the gap
-EDGE = 1e-12  # share of the width of the box within which a coordinate counts as on its edge
+SQUARED = 1e-13  # an upper bound of the error of the square of a norm of order one
+APART = 1e-6  # least eigenvalue of G from which J is known to ROUNDING
+BLOCK = 512  # leaves whose couplings are held at once
 
 
 @final
@@ -116,8 +118,10 @@ class _Proof:
 
     def prove(self) -> tuple[int, float]:
         """Return the step that failed, 0 if none did, and the gap if it is certified."""
-        if self.f >= 1:
+        if not self.f < 1:
             return 1, math.inf
+        if not _are_apart(self.sources):
+            return 3, math.inf
         leaves: Leaves | None = None
         for share in SHARES[self.chart.dimension]:
             if leaves is None:
@@ -130,7 +134,7 @@ class _Proof:
             self.evaluations, self.regions = leaves.evaluations, leaves.regions
             self.lower_bound = max(self.lower_bound, float(leaves.lower_bounds().min()))
             mine = leaves.region_of(self.sources.C)
-            if len(np.unique(mine)) < len(mine) or leaves.regions > MOST_REGIONS:
+            if mine.min() < 0 or len(np.unique(mine)) < len(mine) or leaves.regions > MOST_REGIONS:
                 continue
             others = np.setdiff1d(np.arange(leaves.regions), mine)
             numbered = leaves.only(np.append(mine, others))
@@ -141,6 +145,8 @@ class _Proof:
     def no_region_holds_two(self, leaves: Leaves) -> bool:
         """T4 for every region: each configuration with two sources in it has J > f*."""
         K = len(self.sources.C)
+        if K == 1:
+            return True
         others = [leaves.centre(k) for k in range(K, leaves.regions)]
         sources = charted(self.chart, np.vstack([self.sources.C, others])) if others else self.sources
         rho = np.array([each.max() for each in leaves.distances(sources)])
@@ -171,7 +177,7 @@ class _Proof:
 
     def discard(self, leaves: Leaves, thresholds: ndarray) -> tuple[Leaves, ndarray]:
         """Return the regions that belong to a possible K-subset."""
-        K = len(self.sources.C)
+        K, thresholds = len(self.sources.C), thresholds[: leaves.regions]  # the last regions may be empty now
         if leaves.regions == K:
             return leaves, thresholds
         bounds = leaves.lower_bounds()
@@ -241,21 +247,22 @@ class _Proof:
     ) -> tuple[ndarray, float, float, ndarray]:
         """T5: the radii that are left, the joint radius, the slack, and lower bounds of D on the balls."""
         D = np.array([e.value for e in expansions])
-        lows, away, curvature = np.empty(len(D)), np.empty(len(D)), np.empty(len(D))
+        vertex, away, curvature = np.zeros(len(D)), np.zeros(len(D)), np.empty(len(D))
         for k, e in enumerate(expansions):
             H = e.hessian - rho[k] * T[k] / 3 * np.eye(len(e.gradient))
             curvature[k] = np.linalg.eigvalsh(H)[0]
             if curvature[k] <= CONVEX:
-                lows[k], away[k] = 0.0, 0.0
                 continue
             g = _free_of(sources, k, e.gradient)
             t = -np.linalg.solve(H, g)
-            lows[k], away[k] = max(D[k] + g @ t / 2 - ROUNDING, 0.0), np.linalg.norm(t)
+            vertex[k], away[k] = D[k] + g @ t / 2 - ROUNDING, np.linalg.norm(t)
+        lows = np.maximum(vertex, 0.0)
         slack = max(self.f - float(weights @ lows), 0.0)
         if (curvature <= CONVEX).any():
             return rho, math.inf, slack, lows
-        radii = away + np.sqrt(2 * slack / (weights * curvature))
-        joint = float(np.linalg.norm(away)) + math.sqrt(2 * slack / float(np.min(weights * curvature)))
+        below = weights * (lows - vertex)  # the parabola that bounds D may start below 0
+        radii = away + np.sqrt(2 * (slack + below) / (weights * curvature))
+        joint = float(np.linalg.norm(away)) + math.sqrt(2 * (slack + below.sum()) / np.min(weights * curvature))
         return radii, joint, slack, lows
 
 
@@ -270,10 +277,11 @@ def two_sources(
     pieces, radii, first = cover(sources, rho, parts)
     each = ball_bounds(pieces, radii, U)
     once = pieces.first - (pieces.first @ U.conj()) @ U.T  # P⊥_U ∂â
-    away = np.sqrt(np.maximum(np.linalg.eigvalsh((once @ once.conj().swapaxes(1, 2)).real)[:, 0], 0.0))
+    least_of = np.linalg.eigvalsh((once @ once.conj().swapaxes(1, 2)).real)[:, 0]
+    away = np.sqrt(np.maximum(least_of - SQUARED, 0.0))
     twice = matrix_monomials(pieces.second - (pieces.second @ U.conj()) @ U.T)
     curved = np.sqrt(np.linalg.eigvalsh((twice @ twice.conj().swapaxes(1, 2)).real)[:, -1])
-    sigma = np.sqrt(np.maximum(np.maximum(each.v, 0.0) ** 2 - each.u1**2, 0.0))
+    sigma = np.sqrt(np.maximum(np.maximum(each.v, 0.0) ** 2 - each.u1**2 - SQUARED, 0.0))
     sigma = np.maximum(sigma, away - radii * np.minimum(each.n2, curved + radii / 2 * each.n3))
     bounds = over_cover(each, first)
     sigma = np.minimum.reduceat(sigma, first)
@@ -294,22 +302,29 @@ def _joint_radius(longest: list[ndarray], least: list[ndarray], weights: Float[n
 def _leaf_couplings(leaves: Leaves, chart: Chart) -> Float[ndarray, "regions regions"]:
     """Return bounds of |â_kᴴâ_j| between regions: angles between responses change by both β at most."""
     a = chart.jets(unsheared(chart, leaves.centres))[0]
-    angle = np.arccos(np.minimum(np.abs(a.conj() @ a.T), 1.0)) - leaves.beta[:, None] - leaves.beta
-    bound = np.cos(np.clip(angle, 0.0, math.pi / 2))
-    n = leaves.regions
+    n, order = leaves.regions, np.argsort(leaves.region, kind="stable")
     coupled = np.zeros((n, n))
-    for k in range(n):
-        for j in range(k):
-            block = bound[np.ix_(leaves.region == k, leaves.region == j)]
-            coupled[k, j] = coupled[j, k] = block.max() if block.size else 0.0
+    for first in range(0, len(order), BLOCK):
+        rows = order[first : first + BLOCK]
+        angle = np.arccos(np.minimum(np.abs(a[rows].conj() @ a.T), 1.0)) - leaves.beta[rows, None] - leaves.beta
+        bound = np.cos(np.clip(angle, 0.0, math.pi / 2))
+        for k in np.unique(leaves.region[rows]):
+            largest = bound[leaves.region[rows] == k].max(axis=0)
+            np.maximum.at(coupled[k], leaves.region, largest)
+    coupled = np.maximum(coupled, coupled.T)
+    np.fill_diagonal(coupled, 0.0)
     return coupled
 
 
 def _polished(sources: Charted, U: ndarray) -> tuple[Charted, Expansion]:
     """Return the sources after up to three Newton steps on J inside the box, as long as J does not grow."""
     K, d = sources.C.shape
-    misfit = misfit_expansion(sources, U)
     chart = sources.chart
+    if not _are_apart(sources):  # without derivatives
+        A, empty = sources.a.T, np.zeros(sources.C.size)
+        residual = U - A @ np.linalg.lstsq(A, U)[0]
+        return sources, Expansion(float(np.vdot(residual, residual).real), empty, np.zeros((empty.size, empty.size)))
+    misfit = misfit_expansion(sources, U)
     for _ in range(3):
         held = _held(sources, misfit.gradient)
         g, H = misfit.gradient.copy(), misfit.hessian.copy()
@@ -323,7 +338,9 @@ def _polished(sources: Charted, U: ndarray) -> tuple[Charted, Expansion]:
         basis = np.eye(K * d) if not len(fixed) else np.linalg.svd(fixed)[2][len(fixed) :].T
         t = -basis @ np.linalg.solve(basis.T @ H @ basis, basis.T @ g) if basis.size else np.zeros(K * d)
         C = np.clip(sources.C + np.einsum("kij,kj->ki", sources.S, t.reshape(K, d)), chart.lower, chart.upper)
-        moved = charted(chart, C)
+        moved = charted(chart, chart.snapped(C))
+        if not _are_apart(moved):
+            break
         trial = misfit_expansion(moved, U)
         if not trial.value <= misfit.value + 1e-15:
             break
@@ -331,12 +348,16 @@ def _polished(sources: Charted, U: ndarray) -> tuple[Charted, Expansion]:
     return sources, misfit
 
 
+def _are_apart(sources: Charted) -> bool:
+    """Return whether G is so well conditioned that J and its derivatives can be computed from its inverse."""
+    return bool(np.linalg.eigvalsh(sources.a.conj() @ sources.a.T)[0] > APART)
+
+
 def _held(sources: Charted, gradient: ndarray) -> ndarray:
     """Return which coordinates (K, d) are on an edge of the box into which J grows."""
     chart = sources.chart
     by_coordinate = _by_coordinate(sources, gradient)
-    near = EDGE * chart.width
-    at_lower, at_upper = chart.lower + near >= sources.C, chart.upper - near <= sources.C
+    at_lower, at_upper = chart.lower >= sources.C, chart.upper <= sources.C
     return (at_lower & (by_coordinate >= 0)) | (at_upper & (by_coordinate <= 0))
 
 

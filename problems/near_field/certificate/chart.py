@@ -24,6 +24,8 @@ from . import phases
 __all__ = ["Chart", "chart_of"]
 
 ON_THE_AXIS = 1e-12  # wavelengths by which an element may be off the y axis
+EDGE = 1e-12  # share of the width of the box within which a coordinate counts as on its edge
+FARTHEST = 1000.0  # wavelengths of an element from the origin: D is then known to the ROUNDING of the kernels
 TERMS = 40  # of the power series of f_κκκ with their own bounds
 
 
@@ -62,7 +64,13 @@ class Chart:
         if self.is_sine:
             c[:, 0] = np.sin(theta[:, 0])
         c[:, -1] = self.manifold.wavelength_m / theta[:, -1]
-        return np.clip(c, self.lower, self.upper)
+        return self.snapped(c)
+
+    def snapped(self, C: Float[ndarray, "b d"]) -> Float[ndarray, "b d"]:
+        """Return coordinates in the box, those next to an edge exactly on it."""
+        near = EDGE * self.width
+        onto_lower = np.where(self.lower + near >= C, self.lower, C)
+        return np.where(self.upper - near <= C, self.upper, onto_lower)
 
     def to_theta(self, c: Float[ndarray, "b d"]) -> Float[ndarray, "b d"]:
         """Return sources [rad, m] with given coordinates."""
@@ -91,11 +99,23 @@ class Chart:
     ) -> Float[ndarray, "b 4 m"]:
         """Return bounds of |ψ_ijk| within ``angle`` and ``kappa`` of centres C, before the mean is subtracted.
 
-        The second axis is the number of derivatives with respect to κ; the others are along unit directions of the
-        angles.
+        They hold on the straight lines from the centres to points of Θ. The second axis is the number of derivatives
+        with respect to κ; the others are along unit directions of the angles.
         """
-        where = (np.ascontiguousarray(part) for part in (C, angle, kappa))
+        k = C[:, -1]
+        low = np.maximum(k - kappa, np.minimum(k, self.lower[-1]))
+        high = np.minimum(k + kappa, np.maximum(k, self.upper[-1]))
+        reach = np.column_stack([np.maximum(k - low, high - k), np.maximum(np.abs(low), np.abs(high))])
+        where = np.ascontiguousarray(C), np.ascontiguousarray(angle), reach
         return phases.third_bounds(*self.model, self._slopes, _series(), *where)
+
+    def analytic(self, C: Float[ndarray, "b d"]) -> Float[ndarray, "b d"]:
+        """Return the points next to C at which the bounds of the exact phases hold: |u| <= 1 and |κ|·‖q_m‖ < 1."""
+        if self.manifold.wavefront != "exact":
+            return C
+        limit = (self.upper[-1] + 1 / np.linalg.norm(self.Q, axis=1).max()) / 2  # of κ, beyond Θ
+        angles = np.clip(C[:, :-1], -1, 1) if self.is_sine else C[:, :-1]
+        return np.column_stack([angles, np.clip(C[:, -1], -limit, limit)])
 
     @cached_property
     def _slopes(self) -> Float[ndarray, "3 m"]:
@@ -113,12 +133,14 @@ class Chart:
 def chart_of(manifold: Manifold, lower: Float[ndarray, " d"], upper: Float[ndarray, " d"]) -> Chart:
     """Return the chart of a box [rad, m]. Raises Incompatible where no bound of the phases is known.
 
-    That is the case for a planar wavefront, in which the range has no effect, and where a range is not greater than the
-    distance of an element from the origin.
+    That is the case for a planar wavefront, in which the range has no effect, where a range is not greater than the
+    distance of an element from the origin, and for elements so far from it that phases are not known well enough.
     """
     if manifold.wavefront == "planar":
         raise Incompatible("wavefront: expected one in which the range has an effect, got planar")
     Q = manifold.positions / manifold.wavelength_m
+    if np.linalg.norm(Q, axis=1).max() > FARTHEST:
+        raise Incompatible(f"positions: expected elements within {FARTHEST:,.0f} wavelengths of the origin")
     kappa = manifold.wavelength_m / np.array([upper[-1], lower[-1]])
     if manifold.wavefront == "exact" and kappa[1] * np.linalg.norm(Q, axis=1).max() >= 1:
         farthest = np.linalg.norm(manifold.positions, axis=1).max()

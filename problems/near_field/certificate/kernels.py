@@ -233,7 +233,7 @@ def bound_energy(
             c[0] = at
             g = math.sqrt(max(_energy(array, L, c, is_sine, a), 0.0) / M)
             evaluations += 1
-            if g > best:
+            if g > best and box[0, 0] <= at <= box[1, 0]:
                 best, where[:] = g, c
             stationary = g + 0.5 * largest * n2[n] * step * step
             turned = g * math.cos(beta) + largest * math.sin(beta) if beta < math.atan2(largest, g) else largest

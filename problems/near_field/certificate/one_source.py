@@ -30,7 +30,6 @@ Measures: TypeAlias = tuple[ndarray, ndarray, ndarray, ndarray]
 MOST = 200_000  # evaluations
 RADII = 0.3 * 0.8 ** np.arange(12)  # of the ball around the maximizer that are tried
 LENGTH = 0.45  # largest √F_ii·h_i of a part of an edge [rad]
-EDGE = 1e-12  # share of the width of the box within which a coordinate counts as on its edge
 
 
 @final
@@ -86,7 +85,7 @@ def certify_one_source(
     corners = chart.to_theta(np.array(list(product(*zip(chart.lower, chart.upper, strict=True)))))
     highest = float(np.max(np.linalg.norm(manifold.response(corners).conj() @ L, axis=1) ** 2)) / manifold.elements
     inside &= highest <= p * (1 + gap)
-    bound = max(p * (1 + gap / 2) ** 2, highest, p + beyond)
+    bound = max(best**2 * (1 + gap / 2) ** 2, highest, p + beyond)
     proven = bound - p if inside else max(energy, 0.0)
     if not inside:  # a start for another search, if one was found
         theta = chart.to_theta(np.clip(where, chart.lower, chart.upper)[None])[0]
@@ -104,8 +103,7 @@ def _ball(found: Charted, L: ndarray, s1: float) -> tuple[tuple[ndarray, ndarray
     H = 2 * (q1 @ q1.conj().T + q2 @ q.conj()).real
     chart, S = found.chart, found.S[0]
     slope = np.linalg.solve(S.T, gradient)  # by the coordinates
-    near = EDGE * chart.width
-    slope[((found.C[0] <= chart.lower + near) & (slope <= 0)) | ((found.C[0] >= chart.upper - near) & (slope >= 0))] = 0
+    slope[((found.C[0] <= chart.lower) & (slope <= 0)) | ((found.C[0] >= chart.upper) & (slope >= 0))] = 0
     free = S.T @ slope
     inverse = np.ascontiguousarray(np.linalg.inv(S))
     for rho in RADII:

@@ -43,16 +43,16 @@ def _advance(wavefront: int, s: float, k: float, w: float) -> tuple[float, float
 
 @compiled()
 def _third(
-    wavefront: int, s: float, k: float, w: float, ds: float, dk: float, series: Float[ndarray, "2 n"]
+    wavefront: int, s: float, k: float, w: float, ds: float, dk: float, k_max: float, series: Float[ndarray, "2 n"]
 ) -> tuple[float, float, float, float, float, float, float]:
-    """Bounds of |f_s|, |f_ss|, |f_sκ|, |f_sss|, |f_ssκ|, |f_sκκ| and |f_κκκ| within ds of s and dk of κ.
+    """Bounds of |f_s|, |f_ss|, |f_sκ|, |f_sss|, |f_ssκ|, |f_sκκ| and |f_κκκ| within ds of s and dk of κ, |κ| <= k_max.
 
     With |s − κw| <= ρη: f_s = 1/η, f_ss = κ/η³, f_sκ = (s − κw)/η³, f_sss = 3κ²/η⁵, f_ssκ = 1/η³ + 3κ(s − κw)/η⁵ and
     f_sκκ = 2w/η³ − 3v/η⁵, where 0 <= v <= wη². f_κκκ is bounded by its power series in z = κρ < 1.
     """
     if wavefront == PAPER:
         return 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    k_max, s_max = abs(k) + dk, abs(s) + ds
+    s_max = abs(s) + ds
     if wavefront == FRESNEL:
         return 1.0 + k_max * s_max, k_max, s_max, 0.0, 1.0, 0.0, 0.0
     rho = math.sqrt(w)
@@ -154,9 +154,12 @@ def third_bounds(
     series: Float[ndarray, "2 n"],
     C: Float[ndarray, "b d"],
     angle: Float[ndarray, " b"],
-    kappa: Float[ndarray, " b"],
+    kappa: Float[ndarray, "b 2"],
 ) -> Float[ndarray, "b 4 m"]:
-    """Bounds of the third derivatives of ψ within ``angle`` and ``kappa`` of C, by how many are with respect to κ."""
+    """Bounds of the third derivatives of ψ within ``angle`` and ``kappa`` of C, by how many are with respect to κ.
+
+    kappa: the largest change of κ, and the largest |κ|.
+    """
     B, d = C.shape
     bounds, u = np.empty((B, 4, len(Q))), np.empty((3, 3, 3))
     for b in range(B):
@@ -165,7 +168,7 @@ def third_bounds(
             w = Q[m, 0] ** 2 + Q[m, 1] ** 2 + Q[m, 2] ** 2
             one, two, three = slopes[0, m], slopes[1, m], slopes[2, m]
             f_s, f_ss, f_sk, f_sss, f_ssk, f_skk, f_kkk = _third(
-                wavefront, _dot(Q, m, u[0, 0]), C[b, d - 1], w, one * angle[b], kappa[b], series
+                wavefront, _dot(Q, m, u[0, 0]), C[b, d - 1], w, one * angle[b], kappa[b, 0], kappa[b, 1], series
             )
             bounds[b, 0, m] = TURN * (f_sss * one**3 + 3.0 * f_ss * one * two + f_s * three)
             bounds[b, 1, m] = TURN * (f_ssk * one**2 + f_sk * two)
@@ -251,7 +254,7 @@ _1, _2, _3, _4 = (types.Array(types.float64, n, "C") for n in (1, 2, 3, 4))
 _MODEL = (types.int64, types.boolean, types.Array(types.float64, 2, "C"))
 _SIGNATURES: list[tuple[Any, tuple[Any, ...]]] = [
     (phase_jets, (*_MODEL, _2, _3)),
-    (third_bounds, (*_MODEL, _2, _2, _2, _1, _1)),
+    (third_bounds, (*_MODEL, _2, _2, _2, _1, _2)),
     (ball_sums, (_3, _4, _3, _1, _1, _1, _2)),
 ]
 
