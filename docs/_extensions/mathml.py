@@ -37,7 +37,7 @@ def _mathml(formula: str, display: str) -> str:
 
 
 def _upright_primes(text: str) -> str:
-    """Formulas whose primes follow what they belong to in full size: a prime in a superscript is raised twice, and tiny."""
+    """Formulas whose primes follow their letters in full size; in a superscript they are raised twice, and tiny."""
     ElementTree.register_namespace("", _MATHML)
     root = ElementTree.fromstring(text)
     for element in list(root.iter()):

@@ -3,7 +3,8 @@ Where a source can be
 =====================
 
 The certificate of a scene, step by step: which parts of the box of one source remain once a good configuration is
-known, and the proof that this configuration is the global minimum of ESF. The page :doc:`/certificate` has the theorems.
+known, and the proof that this configuration is the global minimum of ESF. The page :doc:`/certificate` has the
+theorems.
 """
 
 # %%
@@ -61,8 +62,8 @@ print(f"{len(leaves.D)} boxes in {leaves.regions} regions are left, {area:.2%} o
 
 # %%
 # The upper panel shows the whole box in the coordinates of the proof, with *D* in grey. The lower panels show the
-# regions: the boxes that are left, and in red the set :math:`D \le f^\star` that they must hold. At its minimum *D* is not
-# zero, because noise turns the signal subspace away from the responses.
+# regions: the boxes that are left, and in red the set :math:`D \le f^\star` that they must hold. At its minimum *D* is
+# not zero, because noise turns the signal subspace away from the responses.
 
 
 def in_coordinates(theta):
