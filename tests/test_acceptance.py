@@ -14,7 +14,7 @@ from nfbench.problems.near_field.estimators import neef, nemo
 from nfbench.problems.near_field.estimators.neef import Neef
 from nfbench.problems.near_field.estimators.nemo import Nemo
 from nfbench.problems.near_field.objectives.rls import RLS
-from nfbench.problems.near_field.objectives.subspace_fitting import ESF
+from nfbench.problems.near_field.objectives.subspace_fitting import SubspaceFit
 from nfbench.problems.near_field.scenario import NearField
 
 sys.path.append(str(Path(__file__).parent / "benchmarks"))
@@ -68,7 +68,7 @@ def test_other_global_solvers_reach_the_same_optimum(name, de):
 @pytest.mark.parametrize("rician_k", [np.inf, 10.0])
 @pytest.mark.parametrize(
     ("formulation", "module", "compiled", "plain", "population", "budget"),
-    [(Nemo(), nemo, RLS, NumPyRLS, 50, 15_000), (Neef(), neef, ESF, NumPyESF, 120, BUDGET)],
+    [(Nemo(), nemo, RLS, NumPyRLS, 50, 15_000), (Neef(), neef, SubspaceFit, NumPyESF, 120, BUDGET)],
     ids=["nemo", "neef"],
 )
 def test_runs_of_the_quickstart_agree_with_those_on_numpy_objectives(

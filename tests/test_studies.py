@@ -22,7 +22,10 @@ REFUSED = {"rmse_snr_half": {"modified MUSIC 400×2000"}}  # methods that a stud
 NEW = ("line_of_sight", "snr_imbalance")  # studies of results/paper that were run with today's seeds and tables
 JUDGED = sorted([*RESULTS.glob("paper/*/claims.csv"), *RESULTS.glob("optimizer_choice/claims.csv")])
 RELAXATION = PROJECT / "studies" / "relaxation.toml"
-WITH_CLAIMS = [*MANIFESTS, PROJECT / "studies" / "optimizer_choice.toml", RELAXATION]
+WITH_CLAIMS = [
+    *MANIFESTS,
+    *(PROJECT / "studies" / f"{name}.toml" for name in ("optimizer_choice", "relaxation", "certified")),
+]
 SCENES = 100
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from typing import Any
+from xml.etree import ElementTree
 
 from docutils import nodes
 from latex2mathml.converter import convert
@@ -18,6 +19,8 @@ _VARIANTS = {
     "double-struck": (0x1D538, 0x1D552, None, None, 0x1D7D8),
     "sans-serif": (0x1D5A0, 0x1D5BA, None, None, 0x1D7E2),
 }
+_PRIMES = ("′", "″", "‴")
+_MATHML = "http://www.w3.org/1998/Math/MathML"
 _EXCEPTIONS = {("double-struck", letter): sign for letter, sign in zip("CHNPQRZ", "ℂℍℕℙℚℝℤ", strict=True)}
 
 
@@ -28,9 +31,34 @@ def _mathml(formula: str, display: str) -> str:
         tag, variant, text = match.groups()
         return f'<{tag} mathvariant="normal">{"".join(_variant(variant, letter) for letter in text)}</{tag}>'
 
-    text = convert(formula, display=display)
+    text = _upright_primes(convert(formula, display=display))
     text = re.sub(r'<(m[ion]) mathvariant="(bold|double-struck|sans-serif)">([^<&]*)</m[ion]>', letters, text)
     return re.sub(r"<mi>([^<&]{2,})</mi>", r'<mi mathvariant="normal">\1</mi>', text)
+
+
+def _upright_primes(text: str) -> str:
+    """Formulas whose primes follow their letters in full size; in a superscript they are raised twice, and tiny."""
+    ElementTree.register_namespace("", _MATHML)
+    root = ElementTree.fromstring(text)
+    for element in list(root.iter()):
+        if element.tag not in (f"{{{_MATHML}}}msup", f"{{{_MATHML}}}msubsup"):
+            continue
+        *below, above = list(element)
+        first = above[0] if above.tag == f"{{{_MATHML}}}mrow" and len(above) > 1 else above
+        if first.text not in _PRIMES:
+            continue
+        kind = "msub" if len(below) == 2 else "mrow"
+        base = ElementTree.Element(f"{{{_MATHML}}}{kind}")
+        base.extend(below)
+        element[:] = [base, first]
+        element.tag = f"{{{_MATHML}}}mrow"
+        if first is not above:  # such as the H of A′ᴴ
+            above.remove(first)
+            whole = ElementTree.Element(f"{{{_MATHML}}}mrow")
+            whole.extend([base, first])
+            element[:] = [whole, above]
+            element.tag = f"{{{_MATHML}}}msup"
+    return ElementTree.tostring(root, encoding="unicode")
 
 
 def _variant(variant: str, letter: str) -> str:

@@ -14,7 +14,7 @@ import numpy as np
 
 import nfbench
 from nfbench.problems.near_field.arrays import ULA
-from nfbench.problems.near_field.objectives.subspace_fitting import ESF
+from nfbench.problems.near_field.objectives.subspace_fitting import SubspaceFit
 from nfbench.problems.near_field.scenario import NearField
 
 scenario = NearField(
@@ -34,7 +34,7 @@ print("true sources [rad, m]:\n", scene.truth().round(3))
 # subspace, which is spanned by the strongest left singular vectors of the data.
 
 subspace = np.linalg.svd(scene.Y, full_matrices=False)[0][:, : scene.sources]
-problem = ESF(np.ascontiguousarray(subspace), scene.manifold, scene.lower, scene.upper)
+problem = SubspaceFit(np.ascontiguousarray(subspace), scene.manifold, scene.lower, scene.upper)
 
 budget = nfbench.Budget(evaluations=8_000)
 solvers = {name: nfbench.solver(name) for name in ("de", "cmaes", "scipy-de", "random-search")}

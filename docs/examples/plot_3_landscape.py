@@ -14,7 +14,7 @@ import numpy as np
 
 from nfbench.problems.near_field.arrays import ULA
 from nfbench.problems.near_field.objectives.rls import RLS
-from nfbench.problems.near_field.objectives.subspace_fitting import ESF
+from nfbench.problems.near_field.objectives.subspace_fitting import SubspaceFit
 from nfbench.problems.near_field.scenario import NearField
 
 scenario = NearField(
@@ -39,7 +39,7 @@ rls = RLS(scene.Y, scene.manifold, scene.lower, scene.upper)
 residual = rls.evaluate(grid).reshape(200, 361) / np.linalg.norm(scene.Y) ** 2
 
 subspace = np.linalg.svd(scene.Y, full_matrices=False)[0][:, :2]
-esf = ESF(np.ascontiguousarray(subspace), scene.manifold, scene.lower, scene.upper)
+esf = SubspaceFit(np.ascontiguousarray(subspace), scene.manifold, scene.lower, scene.upper)
 with_first = np.hstack([np.broadcast_to(scene.truth()[0], grid.shape), grid])
 misfit = esf.evaluate(with_first).reshape(200, 361)
 

@@ -16,7 +16,7 @@ from scipy.optimize import minimize as local_search
 
 import nfbench
 from nfbench.problems.near_field.arrays import ULA
-from nfbench.problems.near_field.objectives.subspace_fitting import ESF
+from nfbench.problems.near_field.objectives.subspace_fitting import SubspaceFit
 from nfbench.problems.near_field.scenario import NearField
 
 scenario = NearField(
@@ -34,7 +34,7 @@ scenario = NearField(
 def problem_and_target(seed):
     scene = scenario.draw(np.random.default_rng(seed))
     subspace = np.linalg.svd(scene.Y, full_matrices=False)[0][:, : scene.sources]
-    problem = ESF(np.ascontiguousarray(subspace), scene.manifold, scene.lower, scene.upper)
+    problem = SubspaceFit(np.ascontiguousarray(subspace), scene.manifold, scene.lower, scene.upper)
     bounds = list(zip(problem.lower, problem.upper, strict=True))
     reached = local_search(
         problem.value_and_gradient, scene.truth().ravel(), jac=True, bounds=bounds, method="L-BFGS-B"

@@ -53,6 +53,9 @@ class Formulation(Options, ABC):
         """
         return []
 
+    def warm_up(self) -> None:
+        """Load or compile what ``solve`` needs with these options; the time is not part of any measured time."""
+
     def estimates(self, instance: Any, X: ndarray) -> ndarray | None:
         """Return the estimates (r, ...) that ``solve`` would return if its only minimizer were each row of X (r, n).
 

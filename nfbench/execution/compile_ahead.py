@@ -9,7 +9,7 @@ from collections.abc import Iterable
 from multiprocessing import get_context
 from typing import Any
 
-from nfbench.core import NfbenchError, Scenario, Solver
+from nfbench.core import Formulation, NfbenchError, Scenario, Solver
 from nfbench.plugins import Registry
 from nfbench.study import PluginSpec, Study
 
@@ -19,12 +19,12 @@ LONGEST_S = 600.0  # time limit for the warm-up of one plugin of somebody else
 
 
 def warm_up(study: Study, solvers: Iterable[PluginSpec] | None = None) -> None:
-    """Warm up the scenario and the solvers, where the user sees their messages. Workers then find the compiled code.
+    """Warm up the scenario, the formulations and the solvers, where the user sees their messages.
 
-    A plugin that cannot be made, or whose ``warm_up`` fails, is left out: its runs fail later, with the reason. The
-    ``warm_up`` of a plugin that is not nfbench's own runs in a process of its own.
+    Workers then find the compiled code. A plugin that cannot be made, or whose ``warm_up`` fails, is left out: its runs
+    fail later, with the reason. The ``warm_up`` of a plugin that is not nfbench's own runs in a process of its own.
 
-    study: the study whose scenario is warmed up.
+    study: the study whose scenario and formulations are warmed up.
     solvers: the solvers to warm up; None: all solvers of the study.
 
     Raises NfbenchError if nfbench's own kernels cannot be compiled.
@@ -33,6 +33,8 @@ def warm_up(study: Study, solvers: Iterable[PluginSpec] | None = None) -> None:
     if solvers is None:
         solvers = [method.solver for method in study.methods if method.solver]
     _warm_up_one(registry, study, "scenario", study.points[0].scenario)
+    for formulation in {repr(method.formulation): method.formulation for method in study.methods}.values():
+        _warm_up_one(registry, study, "formulation", formulation)
     for solver in {solver.kind: solver for solver in solvers}.values():
         _warm_up_one(registry, study, "solver", solver)
 
@@ -44,8 +46,8 @@ def _warm_up_one(registry: Registry, study: Study, kind: str, spec: PluginSpec) 
         plugin = registry.make(kind, spec.kind, spec.options)
     except NfbenchError:
         return
-    assert isinstance(plugin, Scenario | Solver)
-    if type(plugin).warm_up in (Scenario.warm_up, Solver.warm_up):
+    assert isinstance(plugin, Scenario | Formulation | Solver)
+    if type(plugin).warm_up in (Scenario.warm_up, Formulation.warm_up, Solver.warm_up):
         return
     if registry.find(kind, spec.kind).origin.partition(" ")[0] == "nfbench":
         plugin.warm_up()
@@ -66,6 +68,6 @@ def _warm_up_elsewhere(plugins: tuple[str, ...], kind: str, name: str, options: 
     os.setsid()
     with contextlib.suppress(BaseException):  # the plugin's runs fail for the same reason, and report it
         plugin = Registry(plugins).make(kind, name, options)
-        assert isinstance(plugin, Scenario | Solver)
+        assert isinstance(plugin, Scenario | Formulation | Solver)
         plugin.warm_up()
     os._exit(0)

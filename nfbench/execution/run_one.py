@@ -94,6 +94,7 @@ class _Attempt:
         budget = Budget(**limits) if limits else None
         if solver:
             solver.warm_up()
+        formulation.warm_up()
         instance = scenario.draw(np.random.default_rng(self.spec.instance_seed))
 
         stopping = Stopping(budget.target if budget else None, scenario, formulation, instance)

@@ -12,11 +12,12 @@ from numpy import ndarray
 
 from nfbench import Ge, Gt, Instance, Le, Lt, OneOf, OptionError, Scenario
 
+from . import kernels_subspace
 from .arrays import UCA, ULA, UPA, Array, Custom, unusual
 from .channels import IID, ClusterAroundSource, Clusters, Isotropic, NLoS, complex_normal, rician
 from .geometry import ambiguity
 from .instance import NearFieldInstance
-from .objectives import kernels, kernels_conditional
+from .objectives import kernels
 from .placement import has_room, place_sources
 from .wavefronts import Manifold, Wavefront
 
@@ -124,7 +125,7 @@ class NearField(Scenario):
 
     def warm_up(self) -> None:
         kernels.warm_up()
-        kernels_conditional.warm_up()
+        kernels_subspace.warm_up()
 
     def manifold(self) -> Manifold:
         """Return the array and the wavefront model with which the data are generated."""

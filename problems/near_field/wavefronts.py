@@ -12,7 +12,7 @@ from functools import cached_property
 from typing import Literal, TypeAlias
 
 import numpy as np
-from jaxtyping import Complex, Float
+from jaxtyping import Bool, Complex, Float
 from numpy import ndarray
 
 from .geometry import direction_derivatives, directions
@@ -64,7 +64,20 @@ class Manifold:
         slopes = np.empty((*theta.shape, self.elements))
         slopes[:, :-1] = by_s[:, None] * (direction_derivatives(theta) @ self._columns)
         slopes[:, -1] = by_r
+        if self.wavefront == "exact":
+            self._correct_near_elements(theta, by_s > kernels.NEAR, slopes)
         return a, (1j * self._wavenumber) * slopes * a[:, None]
+
+    def _correct_near_elements(
+        self, theta: Float[ndarray, "p d"], near: Bool[ndarray, "p m"], slopes: Float[ndarray, "p d m"]
+    ) -> None:
+        """Replace the slopes of an exact wavefront where a source is so near to an element that they have no digits."""
+        u, turns = directions(theta), direction_derivatives(theta)
+        for i, m in np.argwhere(near):
+            r, (x, y, z), (q_x, q_y, q_z) = theta[i, -1], u[i], self.positions[m]
+            v: ndarray = np.array(kernels.towards(x, y, z, r, q_x, q_y, q_z))
+            slopes[i, :-1, m] = -r * (turns[i] @ v)
+            slopes[i, -1, m] = 1 - v @ u[i]
 
     @cached_property
     def packed(self) -> tuple[float, int, Float[ndarray, "4 padded"], int]:

@@ -11,7 +11,7 @@ from timing import best_seconds
 from nfbench.problems.near_field.arrays import ULA
 from nfbench.problems.near_field.objectives import kernels
 from nfbench.problems.near_field.objectives.rls import RLS
-from nfbench.problems.near_field.objectives.subspace_fitting import ESF
+from nfbench.problems.near_field.objectives.subspace_fitting import SubspaceFit
 from nfbench.problems.near_field.subspace import compress, signal_subspace
 from nfbench.problems.near_field.wavefronts import Manifold
 
@@ -37,7 +37,7 @@ def rls(M: int = 128, T: int = 128, p: int = 100) -> Callable[[], object]:
 
 
 def esf(M: int = 128, K: int = 3, p: int = 100) -> Callable[[], object]:
-    problem, X = ESF(signal_subspace(noise(M, 64), K), manifold_of(M), LOWER, UPPER), points(p, K)
+    problem, X = SubspaceFit(signal_subspace(noise(M, 64), K), manifold_of(M), LOWER, UPPER), points(p, K)
     return lambda: problem.evaluate(X)
 
 

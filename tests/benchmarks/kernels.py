@@ -36,7 +36,7 @@ from nfbench.problems.near_field.estimators.nemo import Nemo
 from nfbench.problems.near_field.instance import NearFieldInstance
 from nfbench.problems.near_field.objectives import kernels
 from nfbench.problems.near_field.objectives.rls import RLS
-from nfbench.problems.near_field.objectives.subspace_fitting import ESF
+from nfbench.problems.near_field.objectives.subspace_fitting import SubspaceFit
 from nfbench.problems.near_field.scenario import NearField
 from nfbench.problems.near_field.subspace import compress, signal_subspace
 from nfbench.problems.near_field.wavefronts import Manifold
@@ -108,7 +108,7 @@ def cases(name: str, instance: NearFieldInstance) -> list[Case]:
         Case(f"RLS {name}", rls, NumPyRLS(Y, manifold, *box), literal(Y, 1), (BATCH, M, M), made),
         Case(
             f"ESF {name}",
-            ESF(U_s, manifold, *box),
+            SubspaceFit(U_s, manifold, *box),
             NumPyESF(U_s, manifold, *box),
             literal(U_s, K),
             (BATCH, M, K * (3 * K - 1) // 2),
@@ -264,7 +264,7 @@ def whole_runs(instances: dict[str, NearFieldInstance]) -> Table:
     for name, instance in instances.items():
         for formulation, module, fast_class, plain_class, solver, evaluations in (
             (Nemo(), nemo, "RLS", NumPyRLS, DE(population=50), 15_000),
-            (Neef(), neef, "ESF", NumPyESF, DE(population=120), 60_000),
+            (Neef(), neef, "SubspaceFit", NumPyESF, DE(population=120), 60_000),
         ):
             compiled = getattr(module, fast_class)
             times: dict[type, list[float]] = {compiled: [], plain_class: []}

@@ -17,7 +17,7 @@ from threadpoolctl import threadpool_limits
 from timing import seconds
 
 from nfbench import Budget, MeteredProblem, Problem
-from nfbench.problems.near_field.objectives.subspace_fitting import ESF
+from nfbench.problems.near_field.objectives.subspace_fitting import SubspaceFit
 from nfbench.problems.near_field.subspace import signal_subspace
 
 ROUNDS = 41
@@ -47,7 +47,7 @@ def main() -> None:
     table = Table("problem", "call", "bare µs", "meter adds µs", "share")
     rng = np.random.default_rng(0)
     instance = PLANE.draw(rng)
-    esf = ESF(signal_subspace(instance.Y, 3), instance.manifold, instance.lower, instance.upper)
+    esf = SubspaceFit(signal_subspace(instance.Y, 3), instance.manifold, instance.lower, instance.upper)
     for name, problem, number in (
         ("free, n = 2", Free(2), 2000),
         ("free, n = 6", Free(6), 2000),

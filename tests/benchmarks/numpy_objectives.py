@@ -8,9 +8,10 @@ from scipy.linalg import solve_triangular
 
 from nfbench import Problem
 from nfbench.problems.near_field.geometry import directions
-from nfbench.problems.near_field.objectives.subspace_fitting import RIDGE
 from nfbench.problems.near_field.subspace import compress
 from nfbench.problems.near_field.wavefronts import Manifold
+
+RIDGE = 1e-13  # the least pivot of Cholesky's factorization, relative to M
 
 
 def respond(manifold: Manifold, theta: ndarray) -> ndarray:
@@ -89,8 +90,12 @@ class NumPyESF(Problem):
 
     has_gradient = True
 
-    def __init__(self, U_s: ndarray, manifold: Manifold, lower: ndarray, upper: ndarray) -> None:
+    def __init__(
+        self, U_s: ndarray, manifold: Manifold, lower: ndarray, upper: ndarray, sources: int | None = None
+    ) -> None:
         self.sources = U_s.shape[1]
+        if sources not in (None, self.sources):
+            raise ValueError(f"sources: expected as many as columns of U_s, {self.sources}, got {sources}")
         self.lower, self.upper = np.tile(lower, self.sources), np.tile(upper, self.sources)
         self.manifold = manifold
         self.U_s, self.conj_U_s = U_s, np.ascontiguousarray(U_s.conj())

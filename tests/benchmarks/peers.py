@@ -13,7 +13,7 @@ from scipy.optimize import differential_evolution
 from timing import in_turn
 
 from nfbench import Budget, MeteredProblem, Problem, Solver, minimize
-from nfbench.problems.near_field.objectives.subspace_fitting import ESF
+from nfbench.problems.near_field.objectives.subspace_fitting import SubspaceFit
 from nfbench.solvers.cmaes import CMAES, cma
 from nfbench.solvers.de import DE
 from nfbench.solvers.scipy_de import ScipyDE
@@ -44,7 +44,7 @@ class Watched(Problem):
         return value
 
 
-def optimizers(problem: ESF) -> Table:
+def optimizers(problem: SubspaceFit) -> Table:
     """Measure the same objective with nfbench's solvers and with the libraries themselves."""
     table = Table("driving ESF, n = 6", "evaluations", "objective µs", "overhead µs per evaluation", "share")
     box = list(zip(problem.lower, problem.upper, strict=True))

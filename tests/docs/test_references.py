@@ -103,6 +103,8 @@ range_m = [0.1, 0.5]
 rician_k = [inf, 10.0]
 [[formulation]]
 kind = "neef"
+[[formulation]]
+kind = "grid-refine"
 [[solver]]
 kind = "random-search"
 [budget]
@@ -159,6 +161,7 @@ def test_every_column_of_proofs_is_described(tmp_path):
     assert [name for name in names if not column_tables.is_described("references", name)] == ["cuts"]  # of the plugin
     assert {entry["name"] for entry in column_tables.columns("references")} <= {
         *names,
+        *("regions", "certificate_evaluations"),  # of the near-field proofs
         "scenario.KEY",
         "x_N",
     }

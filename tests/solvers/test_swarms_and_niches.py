@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from nfbench import Budget, MeteredProblem, OptionError, Status, minimize
 from nfbench.problems.functions import Functions
-from nfbench.problems.near_field.objectives.subspace_fitting import ESF
+from nfbench.problems.near_field.objectives.subspace_fitting import SubspaceFit
 from nfbench.problems.near_field.scenario import NearField
 from nfbench.problems.near_field.subspace import signal_subspace
 from nfbench.solvers.basin_hopping import BasinHopping
@@ -217,7 +217,7 @@ def test_mlsl_restarts_where_lbfgs_gives_up(sampling):
     box = {"azimuth_deg": [-60, 60], "range_m": [0.5, 4.0]}
     scenario = NearField(array=array, **box, wavelength_m=0.02, wavefront="exact", sources=3, snapshots=50, snr_db=20.0)
     instance = scenario.draw(np.random.default_rng(0))
-    esf = ESF(signal_subspace(instance.Y, 3), instance.manifold, instance.lower, instance.upper)
+    esf = SubspaceFit(signal_subspace(instance.Y, 3), instance.manifold, instance.lower, instance.upper)
     minimum = minimize(esf, MLSLLBFGS(sampling=sampling), 10_000)
     assert (minimum.status, minimum.evaluations) == (Status.OK, 10_000)
 

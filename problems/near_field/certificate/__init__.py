@@ -14,7 +14,7 @@ becomes one over a single source. The modules follow the proof, which the docume
     one_source       T7: the minimum of RLS, to a stated gap
 """
 
-from .certify import Certificate, certify
+from .certify import STEPS, Certificate, certify, unproven, warm_up
 from .one_source import OneSource, certify_one_source
 
-__all__ = ["Certificate", "OneSource", "certify", "certify_one_source"]
+__all__ = ["STEPS", "Certificate", "OneSource", "certify", "certify_one_source", "unproven", "warm_up"]

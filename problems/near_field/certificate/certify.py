@@ -13,7 +13,7 @@ from numpy import ndarray
 
 from ..objectives.kernels import pack_rows
 from ..wavefronts import Manifold
-from . import kernels
+from . import kernels, phases
 from .balls import Charted, ball_bounds, charted, cover, matrix_monomials, over_cover
 from .cells import cells_of, unsheared
 from .chart import Chart
@@ -21,7 +21,7 @@ from .couplings import couplings, gram_limits
 from .minimum import Expansion, distance_expansion, distance_third, misfit_expansion, misfit_third
 from .regions import Leaves, prune_box, prune_leaves
 
-__all__ = ["STEPS", "Certificate", "certify"]
+__all__ = ["STEPS", "Certificate", "certify", "unproven", "warm_up"]
 
 STEPS = {
     0: "none: certified",
@@ -30,6 +30,7 @@ STEPS = {
     3: "two sources may lie in one region, or two of the estimates do",
     4: "J may have another minimum in the product of the regions",
     5: "more regions than sources are left",
+    6: "no bound of the phases is known for this array and this box",
 }
 ROUNDING = 1e-11  # of J, with a margin of ten
 CONVEX = 1e-6  # least curvature m that counts as positive
@@ -65,6 +66,17 @@ class Certificate:
     evaluations: int
 
 
+def unproven(theta: Float[ndarray, "k d"], J: float) -> Certificate:
+    """Return a configuration about which nothing is proven but J >= 0, because no bound of the phases is known."""
+    return Certificate(theta, J, False, J, 6, 0, 0)
+
+
+def warm_up() -> None:
+    """Load the kernels of the certificate from the cache, or compile them and say so on stderr."""
+    kernels.warm_up()
+    phases.warm_up()
+
+
 def certify(
     U: Complex[ndarray, "m k"],
     manifold: Manifold,
@@ -81,7 +93,7 @@ def certify(
     lower, upper: the box of one source [rad, m].
     theta: a local minimizer in the box [rad, m], shape (K, d).
     """
-    kernels.warm_up()
+    warm_up()
     return _Proof(U, manifold, lower, upper, theta).run()
 
 

@@ -28,12 +28,12 @@ CENTRES = 1e-14  # relative rounding of the centres of boxes
 def _source(c: Float[ndarray, " d"], is_sine: bool) -> Source:
     """The source with coordinates c; with sines, u may be outside [−1, 1]."""
     if is_sine:
-        return Source(0.0, c[0], 1.0, 0.0, 1.0 / c[1])
+        return Source(0.0, c[0], 1.0, 0.0, 1.0 / c[1], 0.0, 0.0)  # the angles are for gradients only
     cos_azimuth, sin_azimuth = phasor(c[0] * (0.5 / math.pi))
     cos_elevation, sin_elevation = 1.0, 0.0
     if len(c) == 3:
         cos_elevation, sin_elevation = phasor(c[1] * (0.5 / math.pi))
-    return Source(cos_azimuth, sin_azimuth, cos_elevation, sin_elevation, 1.0 / c[-1])
+    return Source(cos_azimuth, sin_azimuth, cos_elevation, sin_elevation, 1.0 / c[-1], 0.0, 0.0)
 
 
 @compiled()
@@ -85,14 +85,46 @@ def subspace_distances(
 
 
 @compiled()
-def _length(F: Float[ndarray, "d d"], R: Float[ndarray, " d"], h: Float[ndarray, " d"]) -> float:
-    """β = √(Σ_ij |F_ij| h_i h_j) + Σ_i R_i h_i: no path from the centre of a box to one of its points is longer."""
-    square, linear = 0.0, 0.0
+def _square(F: Float[ndarray, "d d"], h: Float[ndarray, " d"]) -> float:
+    """Σ_ij |F_ij| h_i h_j: a bound of the squared norm of every step within ± h."""
+    square = 0.0
     for i in range(len(h)):
-        linear += R[i] * h[i]
         for j in range(len(h)):
             square += abs(F[i, j]) * h[i] * h[j]
-    return (math.sqrt(square) + linear) * WIDER
+    return square
+
+
+@compiled()
+def _length(F: Float[ndarray, "d d"], R: Float[ndarray, " d"], h: Float[ndarray, " d"]) -> float:
+    """β = √(Σ_ij |F_ij| h_i h_j) + Σ_i R_i h_i: no path from the centre of a box to one of its points is longer."""
+    linear = 0.0
+    for i in range(len(h)):
+        linear += R[i] * h[i]
+    return (math.sqrt(_square(F, h)) + linear) * WIDER
+
+
+@compiled()
+def _split(
+    F: Float[ndarray, "d d"],
+    R: Float[ndarray, " d"],
+    c: Float[ndarray, " d"],
+    h: Float[ndarray, " d"],
+    stack_c: Float[ndarray, "n d"],
+    stack_h: Float[ndarray, "n d"],
+    depth: int,
+) -> int:
+    """Put both halves of a box, divided along its longest side, on the stack; returns the new depth."""
+    side, longest = 0, 0.0
+    for i in range(len(h)):
+        length = h[i] * (math.sqrt(F[i, i]) + R[i])
+        if length > longest:
+            side, longest = i, length
+    for sign in (-1.0, 1.0):
+        stack_c[depth], stack_h[depth] = c, h
+        stack_h[depth, side] = 0.5 * h[side]
+        stack_c[depth, side] = c[side] + sign * 0.5 * h[side]
+        depth += 1
+    return depth
 
 
 @compiled()
@@ -138,14 +170,7 @@ def prune(
             if at + reach < box[0, 0] or at - reach > box[1, 0]:
                 continue
             if evaluations >= 100 * most or leaves >= most:
-                return (
-                    centres[:leaves],
-                    halves[:leaves],
-                    cells[:leaves],
-                    values[:leaves],
-                    origins[:leaves],
-                    -evaluations,
-                )
+                return centres[:0], halves[:0], cells[:0], values[:0], origins[:0], -evaluations
             beta = _length(F[cell], R[cell], h)
             c[0] = at
             D = _distance(array, U, c, is_sine, a)
@@ -159,17 +184,28 @@ def prune(
                 values[leaves, 0], values[leaves, 1] = D, beta
                 leaves += 1
                 continue
-            side, longest = 0, 0.0
-            for i in range(d):
-                length = h[i] * (math.sqrt(F[cell, i, i]) + R[cell, i])
-                if length > longest:
-                    side, longest = i, length
-            for sign in (-1.0, 1.0):
-                stack_c[depth], stack_h[depth] = c, h
-                stack_h[depth, side] = 0.5 * h[side]
-                stack_c[depth, side] = c[side] + sign * 0.5 * h[side]
-                depth += 1
+            depth = _split(F[cell], R[cell], c, h, stack_c, stack_h, depth)
     return centres[:leaves], halves[:leaves], cells[:leaves], values[:leaves], origins[:leaves], evaluations
+
+
+@compiled()
+def _farthest(
+    inverse: Float[ndarray, "d d"],
+    centre: Float[ndarray, " d"],
+    at: float,
+    reach: float,
+    c: Float[ndarray, " d"],
+    h: Float[ndarray, " d"],
+) -> float:
+    """A bound of the squared distance in t from a point to any point of a box, whose first side is at ± reach."""
+    farthest = 0.0
+    for i in range(len(c)):
+        middle, extent = 0.0, 0.0
+        for j in range(len(c)):
+            middle += inverse[i, j] * ((at if j == 0 else c[j]) - centre[j])
+            extent += abs(inverse[i, j]) * (reach if j == 0 else h[j] * WIDER)
+        farthest += (abs(middle) + extent) ** 2
+    return farthest
 
 
 @compiled()
@@ -214,23 +250,13 @@ def bound_energy(
             at, reach = c[0] + shear * c[-1], h[0] * WIDER + abs(shear) * h[-1]
             if at + reach < box[0, 0] or at - reach > box[1, 0]:
                 continue
-            farthest = 0.0  # of the box from the centre of the ball, in t
-            for i in range(d):
-                middle, extent = 0.0, 0.0
-                for j in range(d):
-                    value = (at if j == 0 else c[j]) - centre[j]
-                    middle += inverse[i, j] * value
-                    extent += abs(inverse[i, j]) * (reach if j == 0 else h[j] * WIDER)
-                farthest += (abs(middle) + extent) ** 2
+            farthest = _farthest(inverse, centre, at, reach, c, h)
             if farthest <= radius * radius:
                 continue
             if evaluations >= most or depth + 2 > 200:
                 return best, -evaluations
-            beta, square = _length(F[n], R[n], h), 0.0
-            for i in range(d):
-                for j in range(d):
-                    square += abs(Q[n, i, j]) * h[i] * h[j]
-            step = max(beta, math.sqrt(square))
+            beta = _length(F[n], R[n], h)
+            step = max(beta, math.sqrt(_square(Q[n], h)))
             c[0] = at
             g = math.sqrt(max(_energy(array, L, c, is_sine, a), 0.0) / M)
             evaluations += 1
@@ -241,16 +267,7 @@ def bound_energy(
             if min(stationary, turned) <= best * (1.0 + 0.5 * gap):
                 continue
             c[0] -= shear * c[-1]
-            side, longest = 0, 0.0
-            for i in range(d):
-                length = h[i] * (math.sqrt(F[n, i, i]) + R[n, i])
-                if length > longest:
-                    side, longest = i, length
-            for sign in (-1.0, 1.0):
-                stack_c[depth], stack_h[depth] = c, h
-                stack_h[depth, side] = 0.5 * h[side]
-                stack_c[depth, side] = c[side] + sign * 0.5 * h[side]
-                depth += 1
+            depth = _split(F[n], R[n], c, h, stack_c, stack_h, depth)
     return best, evaluations
 
 

@@ -178,6 +178,42 @@ def third_bounds(
 
 
 @compiled()
+def _third_along(third: Float[ndarray, "4 m"], x: float, y: float, cubic: Float[ndarray, " m"]) -> float:
+    """The largest of a cubic form in steps x·cosα and y·sinα into ``cubic``, for each element; returns their mean.
+
+    Between neighbouring samples of α both steps are at most their larger ends.
+    """
+    mean = 0.0
+    for m in range(len(cubic)):
+        cubic[m] = 0.0
+        for i in range(SAMPLES):
+            p = x * math.cos(0.5 * math.pi * i / SAMPLES)
+            q = y * math.sin(0.5 * math.pi * (i + 1) / SAMPLES)
+            value = ((third[0, m] * p + 3.0 * third[1, m] * q) * p + 3.0 * third[2, m] * q * q) * p + third[3, m] * q**3
+            cubic[m] = max(cubic[m], value)
+        mean += cubic[m] / len(cubic)
+    return mean
+
+
+@compiled()
+def _largest_norms(g: Float[ndarray, "d m"], directions: Float[ndarray, "n d"]) -> tuple[float, float]:
+    """The largest ‖g·δ‖₄ and ‖g·δ‖₆ of the directions δ, as means over the elements."""
+    d, M = g.shape
+    largest_four, largest_six = 0.0, 0.0
+    for n in range(len(directions)):
+        four, six = 0.0, 0.0
+        for m in range(M):
+            along = 0.0
+            for i in range(d):
+                along += directions[n, i] * g[i, m]
+            along *= along
+            four += along * along
+            six += along * along * along
+        largest_four, largest_six = max(largest_four, four / M), max(largest_six, six / M)
+    return largest_four**0.25, largest_six ** (1.0 / 6.0)
+
+
+@compiled()
 def ball_sums(
     g: Float[ndarray, "b d m"],
     h: Float[ndarray, "b d d m"],
@@ -198,16 +234,7 @@ def ball_sums(
     sums, of_h = np.zeros((B, 7)), np.zeros((B, pairs, pairs))
     cubic, square, norm, entries = np.empty(M), np.empty((d, d)), np.empty(M), np.empty(pairs)
     for b in range(B):
-        mean = 0.0
-        for m in range(M):
-            largest = 0.0
-            for i in range(SAMPLES):
-                p = x[b] * math.cos(0.5 * math.pi * i / SAMPLES)
-                q = y[b] * math.sin(0.5 * math.pi * (i + 1) / SAMPLES)
-                value = ((third[b, 0, m] * p + 3.0 * third[b, 1, m] * q) * p + 3.0 * third[b, 2, m] * q * q) * p
-                largest = max(largest, value + third[b, 3, m] * q**3)
-            cubic[m] = largest
-            mean += largest / M
+        mean = _third_along(third[b], x[b], y[b], cubic)
         for m in range(M):
             frobenius = 0.0  # ‖h‖ <= ‖h²‖_F^½
             for i in range(d):
@@ -233,20 +260,10 @@ def ball_sums(
             for i in range(pairs):
                 for j in range(pairs):
                     of_h[b, i, j] += entries[i] * entries[j] / M
-        for n in range(len(directions)):
-            four, six = 0.0, 0.0
-            for m in range(M):
-                along = 0.0
-                for i in range(d):
-                    along += directions[n, i] * g[b, i, m]
-                along *= along
-                four += along * along
-                six += along * along * along
-            sums[b, 5], sums[b, 6] = max(sums[b, 5], four / M), max(sums[b, 6], six / M)
+        sums[b, 5], sums[b, 6] = _largest_norms(g[b], directions)
         sums[b, 0], sums[b, 3] = math.sqrt(sums[b, 0]), math.sqrt(sums[b, 3])
         sums[b, 1], sums[b, 4] = sums[b, 1] ** 0.25, sums[b, 4] ** 0.25
-        sums[b, 2], sums[b, 6] = sums[b, 2] ** (1.0 / 6.0), sums[b, 6] ** (1.0 / 6.0)
-        sums[b, 5] = sums[b, 5] ** 0.25
+        sums[b, 2] = sums[b, 2] ** (1.0 / 6.0)
     return sums, of_h
 
 

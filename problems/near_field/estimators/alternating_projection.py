@@ -2,26 +2,25 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
-from typing import Annotated, ClassVar, Literal, TypeAlias, final
+from typing import Annotated, ClassVar, final
 
 import numpy as np
-from jaxtyping import Complex, Float
+from jaxtyping import Float
 from numpy import ndarray
 
 from nfbench import Formulation, Ge, Instance, Lt, Minimize
 
 from ..enumeration import Criterion, Sources, how_many
 from ..instance import NearFieldInstance
+from ..objectives import kernels_conditional
 from ..objectives.conditional_fit import ConditionalFit
-from ..subspace import compress, decompose
+from ..objectives.factors import Objective, factor
+from ..search import warm_up as warm_up_search
 from ..wavefronts import Wavefront
 from .relaxation import TOLERANCE, place, relax
 
 __all__ = ["AlternatingProjection"]
-
-_Objective: TypeAlias = Literal["esf", "wsf", "dml"]
 
 
 @final
@@ -47,8 +46,8 @@ class AlternatingProjection(Formulation):
         likelihood, the least-squares fit to the data themselves, which also works with fewer snapshots than sources.
     sweeps: maximum number of sweeps after the start.
     tolerance: relative gain of the objective in a sweep at or below which the search ends.
-    refine: whether to refine each position by L-BFGS-B, both that of the solver and the previous one, before the better
-        of the two is chosen; these evaluations do not count towards the budget.
+    refine: whether to refine each position by a local search, both that of the solver and the previous one, before the
+        better of the two is chosen; these evaluations do not count towards the budget.
     wavefront: wavefront model that the estimator assumes, "exact", "fresnel", "paper" or "planar"; None: that of the
         scenario.
     sources: number of sources to search for: "known" is the true number, "estimate" is an estimate from the data by
@@ -59,13 +58,18 @@ class AlternatingProjection(Formulation):
 
     accepts: ClassVar[type[Instance]] = NearFieldInstance
 
-    objective: _Objective = "wsf"
+    objective: Objective = "wsf"
     sweeps: Annotated[int, Ge(0)] = 10
     tolerance: Annotated[float, Ge(0.0), Lt(1.0)] = TOLERANCE
     refine: bool = True
     wavefront: Wavefront | None = None
     sources: Sources = "known"
     criterion: Criterion = "ne"
+
+    def warm_up(self) -> None:
+        kernels_conditional.warm_up()
+        if self.refine:
+            warm_up_search()
 
     def estimates(self, instance: NearFieldInstance, X: Float[ndarray, "r n"]) -> Float[ndarray, "r 1 d"] | None:
         """Return the estimates of a search for one source that is not refined; otherwise None."""
@@ -82,27 +86,10 @@ class AlternatingProjection(Formulation):
         theta = np.empty((0, manifold.dimension))
         if K == 0:
             return theta
-        F = _factor(instance.Y, K, self.objective)
+        F = factor(instance.Y, K, self.objective)
         for _ in range(K):
             problem = ConditionalFit(F, manifold, *box, theta)
             theta = np.vstack([theta, place(problem, minimize, refining=self.refine)[0]])
         return relax(
             F, manifold, *box, theta, minimize, sweeps=self.sweeps, tolerance=self.tolerance, refining=self.refine
         )
-
-
-def _factor(Y: Complex[ndarray, "m t"], sources: int, objective: _Objective) -> Complex[ndarray, "m c"]:
-    """Return the factor F of an objective: U_s (ESF), U_s·diag((λ_i − σ̂²)/√λ_i) (WSF), or L/√T with LLᴴ = YYᴴ (DML).
-
-    Eigenvectors with λ_i <= σ̂² have weight 0.
-    """
-    if objective == "dml":
-        if not np.isfinite(Y).all():
-            raise ValueError("Y: expected finite data, got NaN or infinite entries")
-        return compress(Y) / math.sqrt(Y.shape[1])
-    U_s, eigenvalues, noise = decompose(Y, sources)
-    if objective == "esf":
-        return U_s
-    signal = np.maximum(eigenvalues - noise, 0.0)
-    root = np.sqrt(eigenvalues)
-    return U_s * np.divide(signal, root, out=np.zeros_like(root), where=root > 0)

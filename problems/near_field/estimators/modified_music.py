@@ -35,7 +35,7 @@ class ModifiedMusic(Formulation):
     exact wavefront is odd, and biases the angles. Two sources at the same angle are detected as one.
 
     grid: table with the numbers of grid points in azimuth and range.
-    refine: whether to refine the grid points by L-BFGS-B, first in azimuth and then in range.
+    refine: whether to refine the grid points by a local search, first in azimuth and then in range.
     wavefront: wavefront model that the search for ranges assumes, "exact", "fresnel", "paper" or "planar"; None: that
         of the scenario.
     sources: number of sources to search for: "known" is the true number, "estimate" is an estimate from the data by

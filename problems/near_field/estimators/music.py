@@ -18,6 +18,7 @@ from ..instance import NearFieldInstance
 from ..objectives import kernels
 from ..objectives.rls import RLS
 from ..scenario import NearField
+from ..search import warm_up as warm_up_search
 from ..subspace import compress, signal_subspace
 from ..wavefronts import Manifold, Wavefront
 from .refinement import refine
@@ -106,6 +107,9 @@ class Music(Formulation):
     wavefront: Wavefront | None = None
     sources: Sources = "known"
     criterion: Criterion = "ne"
+
+    def warm_up(self) -> None:
+        warm_up_search()
 
     def warnings(self, scenario: NearField) -> list[str]:
         d = 2 if scenario.elevation_deg is None else 3

@@ -9,13 +9,16 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from nfbench import Formulation, Instance, Minimize
+from nfbench import Formulation, Instance, Minimize, Reference
 
 from ..enumeration import Criterion, Sources, how_many
 from ..instance import NearFieldInstance
-from ..objectives.subspace_fitting import ESF
-from ..subspace import signal_subspace
+from ..objectives.factors import Objective, factor
+from ..objectives.subspace_fitting import SubspaceFit
+from ..search import warm_up as warm_up_search
+from ..subspace import decompose
 from ..wavefronts import Wavefront
+from .certified import certified_minimum
 from .refinement import refine
 
 __all__ = ["Neef"]
@@ -26,17 +29,22 @@ __all__ = ["Neef"]
 class Neef(Formulation):
     """Near-field eigen-subspace fitting: minimizes ESF once over all sources (Mousavirad et al., Algorithm 2).
 
+    objective: what is fitted. "esf" is the signal subspace with unit weights, as in the paper. "wsf" weights its
+        eigenvectors by their eigenvalues, which is as accurate as possible also for close and for coherent sources, at
+        the same cost. "dml" is deterministic maximum likelihood, which fits all data: as accurate, also with fewer
+        snapshots than sources, but up to min(M, T)/K times as expensive.
     wavefront: wavefront model that the estimator assumes, "exact", "fresnel", "paper" or "planar"; None: that of the
         scenario.
     sources: number of sources to search for: "known" is the true number, "estimate" is an estimate from the data by
         ``criterion``, and an integer is used as given, even if it is wrong.
     criterion: criterion by which the number of sources is estimated: "aic", "mdl" or "ne" (Nadakuditi & Edelman); used
         only if ``sources`` is "estimate".
-    refine: whether to refine the solver's minimizer by L-BFGS-B; these evaluations do not count towards the budget.
+    refine: whether to refine the solver's minimizer by a local search; its evaluations do not count towards the budget.
     """
 
     accepts: ClassVar[type[Instance]] = NearFieldInstance
 
+    objective: Objective = "esf"
     wavefront: Wavefront | None = None
     sources: Sources = "known"
     criterion: Criterion = "ne"
@@ -45,13 +53,30 @@ class Neef(Formulation):
     def estimates(self, instance: NearFieldInstance, X: Float[ndarray, "r n"]) -> Float[ndarray, "r k d"] | None:
         return None if self.refine else X.reshape(len(X), -1, instance.manifold.dimension)
 
+    def warm_up(self) -> None:
+        if self.refine:
+            warm_up_search()
+
+    def reference(self, instance: NearFieldInstance) -> Reference | None:
+        """Return the certified minimum of ESF; None for the other objectives, for which no proof is known."""
+        K = how_many(instance, self.sources, self.criterion)
+        if self.objective != "esf" or K == 0:
+            return None
+        manifold = instance.manifold.under(self.wavefront)
+        found = certified_minimum(decompose(instance.Y, K).U_s, manifold, instance.lower, instance.upper)
+        columns = {"regions": float(found.regions), "certificate_evaluations": float(found.evaluations)}
+        return Reference(found.J, found.gap, found.certified, found.theta.ravel(), found.step, columns)
+
     def solve(self, instance: NearFieldInstance, minimize: Minimize) -> Float[ndarray, "k d"]:
-        """Return the sources (K, d) [rad, m]; raises Incompatible if there are fewer snapshots than sources."""
+        """Return the sources (K, d) [rad, m].
+
+        Raises Incompatible if there are fewer snapshots than sources, except for "dml".
+        """
         K = how_many(instance, self.sources, self.criterion)
         if K == 0:
             return np.empty((0, instance.manifold.dimension))
-        U_s = signal_subspace(instance.Y, K)
+        F = factor(instance.Y, K, self.objective)
         manifold = instance.manifold.under(self.wavefront)
-        problem = ESF(U_s, manifold, instance.lower, instance.upper)
+        problem = SubspaceFit(F, manifold, instance.lower, instance.upper, sources=K)
         x = minimize(problem).x
         return (refine(problem, x, manifold) if self.refine else x).reshape(K, -1)

@@ -10,13 +10,16 @@ import numpy as np
 from jaxtyping import Complex, Float
 from numpy import ndarray
 
-from nfbench import Formulation, Ge, Instance, Lt, Minimize
+from nfbench import Formulation, Ge, Instance, Lt, Minimize, Reference
 
 from ..enumeration import Criterion, Sources, how_many
 from ..instance import NearFieldInstance
+from ..objectives import kernels_conditional
 from ..objectives.rls import RLS, deflate
+from ..search import warm_up as warm_up_search
 from ..subspace import compress
 from ..wavefronts import Wavefront
+from .certified import certified_first_source
 from .refinement import refine
 from .relaxation import relax
 
@@ -44,7 +47,7 @@ class Nemo(Formulation):
         dimension, of which M − k remain after k detections. It is about 1 for noise at an arbitrary position, and
         hardly exceeds (1 + √(M/T))² for noise at the best position, because the eigenvalues of noise end there
         (Marchenko & Pastur 1967). None: every detection is accepted.
-    refine: whether to refine each of the solver's minimizers by L-BFGS-B before deflation; these evaluations do not
+    refine: whether to refine each of the solver's minimizers by a local search before deflation; its evaluations do not
         count towards the budget.
     relax: maximum number of sweeps of relaxation after the last detection; 0: none, as in the paper. In a sweep each
         source in turn is found again with all others projected off, as in ``alternating-projection`` with the objective
@@ -69,6 +72,22 @@ class Nemo(Formulation):
         """Return the estimates of a search for one source; with more sources, or if it may be discarded, None."""
         single = how_many(instance, self.sources, self.criterion) == 1
         return None if self.refine or self.stop_below is not None or not single else X[:, None]
+
+    def warm_up(self) -> None:
+        if self.refine:
+            warm_up_search()
+        if self.relax:
+            kernels_conditional.warm_up()
+
+    def reference(self, instance: NearFieldInstance) -> Reference | None:
+        """Return the certified minimum of the first problem, RLS of one source to a stated gap."""
+        if how_many(instance, self.sources, self.criterion) == 0:
+            return None
+        manifold = instance.manifold.under(self.wavefront)
+        found = certified_first_source(compress(instance.Y), manifold, instance.lower, instance.upper)
+        columns = {"certificate_evaluations": float(found.evaluations)}
+        step = 0 if found.certified else 1
+        return Reference(found.J, found.gap, found.certified, found.theta, step, columns)
 
     def solve(self, instance: NearFieldInstance, minimize: Minimize) -> Float[ndarray, "k d"]:
         """Return the sources (K, d) [rad, m] in the order of their detection."""

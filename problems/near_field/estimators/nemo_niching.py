@@ -14,6 +14,7 @@ from nfbench import Formulation, Incompatible, Instance, Minimize
 from ..enumeration import Criterion, Sources, how_many
 from ..instance import NearFieldInstance
 from ..objectives.rls import RLS
+from ..search import warm_up as warm_up_search
 from ..subspace import compress
 from ..wavefronts import Wavefront
 from .music import pick_peaks
@@ -27,8 +28,8 @@ class NemoNiching(Formulation):
     """Multimodal optimization without deflation: one search of one RLS problem, whose K deepest minima are the sources.
 
     The minima are taken from the solver's last population, which the solver must report; ``crowding-de`` is designed to
-    hold many minima at once. Individuals are processed in the order of their values. Of those from which L-BFGS-B
-    reaches the same minimum, only the best is used; these evaluations do not count towards the budget. If the
+    hold many minima at once. Individuals are processed in the order of their values. Of those from which a local
+    search reaches the same minimum, only the best is used; these evaluations do not count towards the budget. If the
     population contains fewer than K minima, the best remaining individuals complete the estimate. A minimum need not be
     a source: without deflation, a sidelobe of a strong source may be deeper than the minimum of a weak source.
 
@@ -47,6 +48,9 @@ class NemoNiching(Formulation):
     wavefront: Wavefront | None = None
     sources: Sources = "known"
     criterion: Criterion = "ne"
+
+    def warm_up(self) -> None:
+        warm_up_search()
 
     def solve(self, instance: NearFieldInstance, minimize: Minimize) -> Float[ndarray, "k d"]:
         """Return the sources (K, d) [rad, m], the deepest minimum first; fewer if the population is smaller.

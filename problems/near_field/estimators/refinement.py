@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Complex, Float
 from numpy import ndarray
 from scipy.optimize import Bounds, minimize
 
 from nfbench import Problem
 
+from ..objectives.conditional_fit import ConditionalFit
+from ..search import resolution, search_locally
 from ..wavefronts import Manifold
 
 __all__ = ["refine", "resolution"]
@@ -16,29 +18,30 @@ __all__ = ["refine", "resolution"]
 ROUNDS = 10  # L-BFGS-B may end on a narrow ridge after a tiny step; a restart from there makes further progress
 
 
-def resolution(manifold: Manifold) -> tuple[float, float]:
-    """Return the beamwidth λ/D [rad] at broadside and the depth of focus 4λ/D² in inverse range [1/m].
-
-    D = 2·max‖q_m − q̄‖ is the aperture. A change of the angle by the beamwidth changes the linear part of the phase
-    between the centre of the aperture and its edge by half a turn; a change of the inverse range by the depth of focus
-    changes the quadratic part by the same amount.
-    """
-    spread = manifold.positions - manifold.positions.mean(axis=0)
-    aperture = 2 * float(np.sqrt(np.sum(spread**2, axis=1).max()))
-    return manifold.wavelength_m / aperture, 4 * manifold.wavelength_m / aperture**2
-
-
 def refine(problem: Problem, x: Float[ndarray, " n"], manifold: Manifold) -> Float[ndarray, " n"]:
-    """Return a local minimizer within the box, found by L-BFGS-B (Byrd, Lu, Nocedal & Zhu 1995) from x.
+    """Return a local minimizer within the box, found from x; the result is never worse than x.
 
-    The result is never worse than x. Angles are measured in beamwidths, and ranges as inverse ranges in depths of
-    focus. In these units a minimum is equally wide at all ranges, and the first step, of length one, stays in the
-    valley in which it starts.
+    A problem that is a misfit ‖(I − P_A)F‖² and nothing else, which has F as its attribute ``factor``, is minimized by
+    Levenberg–Marquardt (``search_locally``); ConditionalFit too, with the other sources held. Any other problem, such
+    as RLS with repulsion, is minimized by L-BFGS-B (Byrd, Lu, Nocedal & Zhu 1995). Both measure angles in beamwidths
+    and ranges as inverse ranges in depths of focus, so that a minimum is equally wide at all ranges.
 
-    problem: problem with a gradient, RLS, ESF or ConditionalFit.
+    problem: problem with a gradient, RLS, SubspaceFit or ConditionalFit.
     x: starting point [rad, m], shape (n,), which consists of n/d sources one after another, inside the box.
     manifold: array and wavefront model.
     """
+    factor: Complex[ndarray, "m c"] | None = getattr(problem, "factor", None)
+    if factor is None:
+        return _refine_by_quasi_newton(problem, x, manifold)
+    d = manifold.dimension
+    others = problem.others if isinstance(problem, ConditionalFit) else np.empty((0, d))
+    start, box = np.concatenate([others.ravel(), x]), (problem.lower[:d], problem.upper[:d])
+    refined = search_locally(factor, manifold, *box, start, fixed=len(others)).x[others.size :]
+    return refined if problem.value(refined) <= problem.value(x) else x
+
+
+def _refine_by_quasi_newton(problem: Problem, x: Float[ndarray, " n"], manifold: Manifold) -> Float[ndarray, " n"]:
+    """Refine by L-BFGS-B; the first step, of length one in the units of ``refine``, stays in the valley of x."""
     beamwidth, depth = resolution(manifold)
     angles, d = manifold.dimension - 1, manifold.dimension
     unit = np.tile([beamwidth] * angles + [depth], len(x) // d)

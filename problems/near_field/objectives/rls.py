@@ -54,7 +54,8 @@ class RLS(Problem):
         self.lower, self.upper = lower, upper
         self._manifold = manifold
         kernels.warm_up()
-        factor = *manifold.packed, kernels.pack_rows(compress(Y))
+        L = compress(Y)
+        factor = *manifold.packed, kernels.pack_rows(L)
         self._projected_energy = partial(kernels.projected_energy, *factor)  # ‖aᴴL‖² of points
         self._projected_energy_one = partial(kernels.projected_energy_one, *factor)  # and of one
         self._projected_energy_and_gradient = partial(kernels.projected_energy_and_gradient, *factor)
@@ -62,6 +63,8 @@ class RLS(Problem):
         self._detected = np.empty((0, manifold.dimension)) if detected is None else detected
         self._alpha = alpha if alpha_relative is None else alpha_relative * self._energy / manifold.elements
         self._delta_min = delta_min
+        repels = len(self._detected) > 0 and self._alpha * delta_min > 0
+        self.factor = None if repels else L  # F of J = ‖(I − P_a)F‖², of which no repulsion is part
         cone = self._detected, float(self._alpha), float(delta_min)
         self._repulsion = partial(kernels.repulsion, *cone)
         self._repulsion_one = partial(kernels.repulsion_one, *cone)

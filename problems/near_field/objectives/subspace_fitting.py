@@ -1,4 +1,4 @@
-"""ESF: how far the signal subspace is from the span of K candidate sources, the objective of NEEF."""
+"""Subspace fitting: how much of a factor of the data K sources do not explain, the objective of NEEF."""
 
 from __future__ import annotations
 
@@ -12,51 +12,63 @@ from numpy import ndarray
 from nfbench import Problem
 
 from ..objectives import kernels
+from ..subspace import compress
 from ..wavefronts import Manifold
 
-__all__ = ["ESF", "RIDGE"]
-
-RIDGE = 1e-13
-"""The least pivot of Cholesky's factorization of G, relative to M.
-
-A pivot is the squared distance of a response from the span of those before it. Where two candidates coincide it
-vanishes up to rounding, and is raised to this value: the second adds nothing to the span, and J is that of the others.
-Rounding alone changes J by up to about 1e-15·cond(A)², so J has digits as long as cond(A) is below about 1e7. For K
-well below M, only candidates that nearly coincide exceed that. For K near M, candidates that are apart exceed it too:
-J then depends on the order of the candidates, may be wrong in its first digit, and may be NaN."""
+__all__ = ["SubspaceFit"]
 
 
 @final
-class ESF(Problem):
-    """J(x) = ‖(I − P_A)U_s‖²_F = K − tr(BᴴG⁻¹B) with G = AᴴA, B = AᴴU_s; x = [θ_1 … θ_K], n = dK, 0 <= J <= K.
+class SubspaceFit(Problem):
+    """J(x) = ‖(I − P_A)F‖²_F = ‖F‖² − tr(BᴴG⁻¹B) with G = AᴴA, B = AᴴF; x = [θ_1 … θ_K], n = dK, 0 <= J <= ‖F‖².
 
-    Subspace fitting with unit weights (Viberg & Ottersten 1991, doi:10.1109/78.80966); the gradient is that of a
-    variable projection (Golub & Pereyra 1973, doi:10.1137/0710036). J is smooth except where candidates coincide, and
-    accurate for K well below M (see RIDGE).
+    One family of objectives (Viberg & Ottersten 1991, doi:10.1109/78.80966), which differ in F: see ``factor``. The
+    gradient is that of a variable projection (Golub & Pereyra 1973, doi:10.1137/0710036). J is a difference: rounding
+    changes it by some 1e-15·‖F‖² where responses are well apart, and by less than 1e-8·‖F‖² everywhere.
 
-    U_s: (M, K) orthonormal. lower, upper: (d,) the box of one source [rad, m]. Raises ValueError where shapes differ.
+    P_A projects onto the span of the responses, whatever their number and order. Candidates whose G is nearly singular,
+    as where sources run together or where K is near M, are evaluated by a rank-revealing factorization, which takes
+    longer. A response closer to the span of the others than RANK (``kernels/singular.py``) adds nothing to it, because
+    rounding would decide in which direction it leaves the span. J then is that of the other sources, and jumps where a
+    source comes that close; the gradient is that of the pseudo-inverse of A.
+
+    F: the factor, shape (M, c).
+    manifold: array and wavefront model.
+    lower: lower bounds of one source [rad, m], shape (d,).
+    upper: upper bounds of one source [rad, m], shape (d,).
+    sources: number K of sources; None: c.
+
+    Raises ValueError where shapes differ, F is not finite, or ``sources`` is less than 1.
     """
 
     has_gradient = True
 
     def __init__(
         self,
-        U_s: Complex[ndarray, "m k"],
+        F: Complex[ndarray, "m c"],
         manifold: Manifold,
         lower: Float[ndarray, " d"],
         upper: Float[ndarray, " d"],
+        sources: int | None = None,
     ) -> None:
-        if U_s.ndim != 2 or len(U_s) != manifold.elements:
-            raise ValueError(f"U_s: expected shape ({manifold.elements}, K), got {U_s.shape}")
+        if F.ndim != 2 or len(F) != manifold.elements or not F.shape[1]:
+            raise ValueError(f"F: expected shape ({manifold.elements}, c), got {F.shape}")
+        if not np.isfinite(F).all():
+            raise ValueError("F: expected finite entries, got NaN or infinite entries")
         if lower.shape != (manifold.dimension,) or upper.shape != lower.shape:
             raise ValueError(f"lower, upper: expected shape ({manifold.dimension},), got {lower.shape}, {upper.shape}")
-        self._sources = U_s.shape[1]
-        self.lower, self.upper = np.tile(lower, self._sources), np.tile(upper, self._sources)
+        K = F.shape[1] if sources is None else sources
+        if K < 1:
+            raise ValueError(f"sources: expected at least 1, got {K}")
+        self.factor: Complex[ndarray, "m c"] = F
+        self.manifold = manifold
+        self.sources = K
+        self.lower, self.upper = np.tile(lower, K), np.tile(upper, K)
         kernels.warm_up()
-        fit = *manifold.packed, RIDGE * manifold.elements, *kernels.pack_subspace(U_s)
-        self._kernel = partial(kernels.esf, *fit)
-        self._kernel_one = partial(kernels.esf_one, *fit)
-        self._kernel_and_gradient = partial(kernels.esf_and_gradient, *fit)
+        fit = *manifold.packed, _energy(F), *kernels.pack_factor(_triangular(F), K)
+        self._kernel = partial(kernels.misfit, *fit)
+        self._kernel_one = partial(kernels.misfit_one, *fit)
+        self._kernel_and_gradient = partial(kernels.misfit_and_gradient, *fit)
 
     def evaluate(self, X: Float[ndarray, "p n"]) -> Float[ndarray, " p"]:
         J: Float[ndarray, " p"] = self._kernel(X)
@@ -69,3 +81,15 @@ class ESF(Problem):
     def value_and_gradient(self, x: Float[ndarray, " n"]) -> tuple[float, Float[ndarray, " n"]]:
         J, gradient = self._kernel_and_gradient(x)
         return J, gradient
+
+
+def _energy(F: Complex[ndarray, "m c"]) -> float:
+    """Return ‖F‖²; exactly c if the columns are orthonormal, as those of U_s."""
+    c = F.shape[1]
+    is_orthonormal = c <= len(F) and np.allclose(F.conj().T @ F, np.eye(c), rtol=0, atol=1e-12)
+    return float(c) if is_orthonormal else float(np.vdot(F, F).real)
+
+
+def _triangular(F: Complex[ndarray, "m c"]) -> Complex[ndarray, "m c"]:
+    """Return F, or if it has many columns, a lower triangular factor of F·Fᴴ, which gives the same J."""
+    return compress(F) if F.shape[1] > kernels.LANES and np.triu(F, 1).any() else F

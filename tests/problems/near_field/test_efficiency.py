@@ -10,7 +10,7 @@ from nfbench.problems.near_field.bounds import position_bounds, stochastic_bound
 from nfbench.problems.near_field.channels import complex_normal
 from nfbench.problems.near_field.floor import local_fit
 from nfbench.problems.near_field.geometry import cartesian
-from nfbench.problems.near_field.objectives.subspace_fitting import ESF
+from nfbench.problems.near_field.objectives.subspace_fitting import SubspaceFit
 from nfbench.problems.near_field.scenario import NearField
 from nfbench.problems.near_field.subspace import signal_subspace
 
@@ -29,7 +29,7 @@ PAPER = NearField(
 
 def esf_from_truth(instance):
     """Return the local minimizer of ESF, by L-BFGS-B in units of the standard deviations given by the bound."""
-    problem = ESF(signal_subspace(instance.Y, 3), instance.manifold, instance.lower, instance.upper)
+    problem = SubspaceFit(signal_subspace(instance.Y, 3), instance.manifold, instance.lower, instance.upper)
     start = instance.theta.ravel()
     unit = np.sqrt(np.diag(stochastic_bound(instance.manifold, instance.theta, instance.snr, instance.Y.shape[1])))
 

@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 
 from nfbench.core.options import build
-from nfbench.problems.near_field.estimators.grid_refine import GridRefine, _grid_size, resolution_grid
+from nfbench.problems.near_field.estimators.grid_refine import GridRefine
 from nfbench.problems.near_field.estimators.modified_music import ModifiedMusic
 from nfbench.problems.near_field.estimators.music import Grid, Music, search_s
 from nfbench.problems.near_field.geometry import ambiguity, directions, flatness, nearest_distances
 from nfbench.problems.near_field.scenario import NearField
+from nfbench.problems.near_field.search import grid_size, resolution_grid
 
 WAVELENGTH = 0.02
 ULA = {"kind": "ula", "elements": 128, "spacing_wavelengths": 0.25, "origin": "first"}
@@ -219,7 +220,7 @@ def test_modified_music_warns_only_where_its_lines_take_long():
 def test_a_default_density_that_takes_long_is_named_and_a_high_one_that_fills_the_memory():
     large = near_field(array=UPA | {"columns": 64, "rows": 64}, elevation_deg=[-60, 60], range_m=[0.5, 40.0])
     (text,) = GridRefine().warnings(large)
-    assert text.startswith("density: the default, 2, gives a grid of about ") and "with 4096 elements" in text
+    assert text.startswith("density: the default, 1.5, gives a grid of about ") and "with 4096 elements" in text
     assert GridRefine().warnings(near_field()) == GridRefine(density=3.0).warnings(large) == []
     (text,) = GridRefine(density=100.0).warnings(large)
     assert text.startswith("density: 100 gives a grid of about ") and "may not fit in memory" in text
@@ -231,7 +232,7 @@ def test_a_default_density_that_takes_long_is_named_and_a_high_one_that_fills_th
 )
 def test_the_estimated_size_of_a_grid_is_that_of_the_grid(changes):
     scenario = near_field(**changes)
-    estimated = math.prod(_grid_size(scenario.manifold(), *scenario.box(), 2.0))
+    estimated = math.prod(grid_size(scenario.manifold(), *scenario.box(), 2.0))
     assert estimated == pytest.approx(len(resolution_grid(scenario.manifold(), *scenario.box(), 2.0)), rel=0.1)
 
 

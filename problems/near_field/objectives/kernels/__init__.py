@@ -13,8 +13,8 @@ from numba import types
 
 from nfbench import load_kernels
 
-from .packing import LANES, WAVEFRONTS, pack_geometry, pack_rows, pack_subspace
-from .response_vectors import advance_slopes, phasors, responses
+from .packing import LANES, WAVEFRONTS, pack_factor, pack_geometry, pack_rows
+from .response_vectors import NEAR, advance_slopes, phasors, responses, towards
 from .rls import (
     projected_energy,
     projected_energy_and_gradient,
@@ -22,18 +22,19 @@ from .rls import (
     repulsion,
     repulsion_one,
 )
-from .subspace_fitting import esf, esf_and_gradient, esf_one
+from .subspace_fitting import misfit, misfit_and_gradient, misfit_one
 
 __all__ = [
     "LANES",
+    "NEAR",
     "WAVEFRONTS",
     "advance_slopes",
-    "esf",
-    "esf_and_gradient",
-    "esf_one",
+    "misfit",
+    "misfit_and_gradient",
+    "misfit_one",
+    "pack_factor",
     "pack_geometry",
     "pack_rows",
-    "pack_subspace",
     "phasors",
     "projected_energy",
     "projected_energy_and_gradient",
@@ -41,6 +42,7 @@ __all__ = [
     "repulsion",
     "repulsion_one",
     "responses",
+    "towards",
     "warm_up",
 ]
 
@@ -48,10 +50,11 @@ _VECTOR, _MATRIX, _ROWS = (types.Array(types.float64, n, "C") for n in (1, 2, 3)
 _POINT, _POINTS = (types.Array(types.float64, n, "A", readonly=True, aligned=False) for n in (1, 2))  # any strides
 _C1, _C2 = types.complex128[::1], types.complex128[:, ::1]
 _ARRAY = (types.float64, types.int64, _MATRIX, types.int64)  # the fields of ArrayModel
-_SUBSPACE = (types.float64, _ROWS, _C1, _C2, _C2)  # least, rows, h, L, W
+_FACTOR = (types.float64, _ROWS, _C1, _C2, _C2)  # energy, rows, h, L, W
 _REPULSION = (_POINTS, types.float64, types.float64)
 _SIGNATURES: list[tuple[Any, tuple[Any, ...]]] = [
     (phasors, (_VECTOR,) * 3),  # the quickest to compile
+    (towards, (types.float64,) * 7),
     (responses, (*_ARRAY, _POINTS)),
     (advance_slopes, (types.int64, _MATRIX, _POINT, _VECTOR)),
     (projected_energy, (*_ARRAY, _ROWS, _POINTS)),
@@ -59,9 +62,9 @@ _SIGNATURES: list[tuple[Any, tuple[Any, ...]]] = [
     (projected_energy_and_gradient, (*_ARRAY, _ROWS, _POINT)),
     (repulsion, (*_REPULSION, _POINTS)),
     (repulsion_one, (*_REPULSION, _POINT)),
-    (esf, (*_ARRAY, *_SUBSPACE, _POINTS)),
-    (esf_one, (*_ARRAY, *_SUBSPACE, _POINT)),
-    (esf_and_gradient, (*_ARRAY, *_SUBSPACE, _POINT)),
+    (misfit, (*_ARRAY, *_FACTOR, _POINTS)),
+    (misfit_one, (*_ARRAY, *_FACTOR, _POINT)),
+    (misfit_and_gradient, (*_ARRAY, *_FACTOR, _POINT)),
 ]
 
 

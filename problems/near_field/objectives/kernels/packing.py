@@ -1,4 +1,4 @@
-"""How arrays, data and subspaces are laid out for the kernels.
+"""How arrays and factors of data are laid out for the kernels.
 
 Every vector over the M elements is a row of float64, with its real and imaginary parts in separate rows, padded with
 zeros to a multiple of LANES: each inner loop is then a plain sum over whole SIMD registers.
@@ -21,9 +21,9 @@ __all__ = [
     "ROWS",
     "WAVEFRONTS",
     "ArrayModel",
+    "pack_factor",
     "pack_geometry",
     "pack_rows",
-    "pack_subspace",
 ]
 
 LANES = 16  # two of the widest SIMD registers (AVX-512), which LLVM keeps in flight per sum
@@ -55,18 +55,21 @@ def pack_rows(columns: Complex[ndarray, "m c"]) -> Float[ndarray, "2 rows padded
     return np.stack([_pad(part, ROWS) for part in (columns.real.T, columns.imag.T)])
 
 
-def pack_subspace(
-    U_s: Complex[ndarray, "m k"],
+def pack_factor(
+    F: Complex[ndarray, "m c"], sources: int
 ) -> tuple[
-    Float[ndarray, "2 rows padded"], Complex[ndarray, " rows"], Complex[ndarray, "k k"], Complex[ndarray, "k k"]
+    Float[ndarray, "2 rows padded"], Complex[ndarray, " rows"], Complex[ndarray, "k k"], Complex[ndarray, "k c"]
 ]:
-    """U_s with room for K responses after it, and room for h, L and W of one candidate at a time.
+    """F with room for the responses of K sources after it, and room for h, L and W of one candidate at a time.
 
-    Threads may share them: a kernel holds the interpreter's lock while it writes there.
+    If there are more than LANES columns, F must be lower triangular; columns of zeros then make c a multiple of ROWS.
+    Threads may share the arrays: a kernel holds the interpreter's lock while it writes there.
     """
-    K = U_s.shape[1]
-    rows = pack_rows(np.hstack([U_s, np.zeros_like(U_s)]))
-    return rows, np.empty(rows.shape[1], np.complex128), *np.empty((2, K, K), np.complex128)
+    columns = F.shape[1] + (-F.shape[1] % ROWS if F.shape[1] > LANES else 0)
+    room = np.zeros((len(F), columns - F.shape[1] + sources), np.complex128)
+    rows = pack_rows(np.hstack([F, room]))
+    L, W = np.empty((sources, sources), np.complex128), np.empty((sources, columns), np.complex128)
+    return rows, np.empty(rows.shape[1], np.complex128), L, W
 
 
 def _pad(rows: ndarray, multiple: int) -> ndarray:

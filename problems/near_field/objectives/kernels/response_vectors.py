@@ -20,6 +20,7 @@ from .inner_products import SUMS
 from .packing import EXACT, FRESNEL, PAPER, ArrayModel
 
 __all__ = [
+    "NEAR",
     "Source",
     "advance",
     "advance_slopes",
@@ -30,20 +31,24 @@ __all__ = [
     "responses",
     "slopes",
     "source_at",
+    "towards",
 ]
 
 _CONTRACT = {"contract"}  # fused multiply-adds
-_TINY = 1e-300  # d² where a source meets an element
+_TINY = 1e-300  # the least d², so that no division by zero occurs where a source meets an element
+NEAR = 1e3  # r/d from which d², a difference of squares, has lost too many digits for a direction
 
 
 class Source(NamedTuple):
-    """A candidate source: its direction as cosines and sines, and its range in wavelengths."""
+    """A candidate source: its direction as cosines and sines, its range in wavelengths, and its angles [rad]."""
 
     cos_azimuth: float
     sin_azimuth: float
     cos_elevation: float
     sin_elevation: float
     r: float
+    azimuth: float
+    elevation: float
 
 
 # ------------------------------------------------------------------------------------------------- sine and cosine
@@ -99,7 +104,11 @@ def advance(wavefront: int, s: float, r: float, w: float) -> float:
 
 @compiled(inline=True)
 def slopes(wavefront: int, s: float, r: float, w: float) -> tuple[float, float]:
-    """∂f/∂s and ∂f/∂r of one element; s, r and w in any one unit of length."""
+    """∂f/∂s and ∂f/∂r of one element; s, r and w in any one unit of length.
+
+    Where ∂f/∂s exceeds NEAR on an exact wavefront, the source is so near to the element that neither has digits: see
+    ``towards``.
+    """
     if wavefront == EXACT:  # ∂f/∂s = r/d, ∂f/∂r = 1 − (r − s)/d, again without cancellation
         numerator = 2.0 * r * s - w
         d = math.sqrt(max(r * r - numerator, _TINY))
@@ -130,10 +139,12 @@ def advance_slopes(
 def source_at(X: Float[ndarray, "p n"], i: int, first: int, d: int, wavelength: float) -> Source:
     """The source θ = X[i, first:first+d]: [azimuth, range], or [azimuth, elevation, range] [rad, m]."""
     cos_azimuth, sin_azimuth = phasor(X[i, first] * (0.5 / math.pi))
-    cos_elevation, sin_elevation = 1.0, 0.0
+    cos_elevation, sin_elevation, elevation = 1.0, 0.0, 0.0
     if d == 3:
-        cos_elevation, sin_elevation = phasor(X[i, first + 1] * (0.5 / math.pi))
-    return Source(cos_azimuth, sin_azimuth, cos_elevation, sin_elevation, X[i, first + d - 1] / wavelength)
+        elevation = X[i, first + 1]
+        cos_elevation, sin_elevation = phasor(elevation * (0.5 / math.pi))
+    r = X[i, first + d - 1] / wavelength
+    return Source(cos_azimuth, sin_azimuth, cos_elevation, sin_elevation, r, X[i, first], elevation)
 
 
 @compiled(_CONTRACT)
@@ -160,22 +171,67 @@ def phase_gradient(
 
     With ∂u/∂φ = cosψ·[−sinφ, cosφ, 0] and ∂u/∂ψ = [−sinψ cosφ, −sinψ sinφ, cosψ].
     """
-    cos_a, sin_a, cos_e, sin_e, r = source
+    cos_a, sin_a, cos_e, sin_e, r, _, _ = source
     x, y, z = cos_e * cos_a, cos_e * sin_a, sin_e
     wavefront, q = array.wavefront, array.geometry
     gx = gy = gz = gr = 0.0
+    near = 0
     for m in range(q.shape[1]):
         s = x * q[0, m] + y * q[1, m] + z * q[2, m]
         by_s, by_r = slopes(wavefront, s, r, q[3, m])
+        near += by_s > NEAR
         slope = e[0, 0, m] * by_s
         gx += slope * q[0, m]
         gy += slope * q[1, m]
         gz += slope * q[2, m]
         gr += e[0, 0, m] * by_r
+    if near > 0 and wavefront == EXACT:
+        gx, gy, gz, gr = _sums_near_an_element(array, source, e)
     gradient[0] = cos_e * (cos_a * gy - sin_a * gx)
     if len(gradient) == 3:
         gradient[1] = cos_e * gz - sin_e * (cos_a * gx + sin_a * gy)
     gradient[-1] = gr / array.wavelength
+
+
+@compiled()
+def _sums_near_an_element(
+    array: ArrayModel, source: Source, e: Float[ndarray, "2 rows padded"]
+) -> tuple[float, float, float, float]:
+    """The sums Σ_m e_m·∂f/∂u and Σ_m e_m·∂f/∂r of an exact wavefront, where a source is near to some elements.
+
+    For these, ∂f/∂u = (r/d)·q is replaced by (r/d)·(q − p) = −r·v, which differs by a multiple of u, so that the
+    derivatives by the angles are the same; and ∂f/∂r = 1 − v·u. Both are bounded.
+    """
+    r, q = source.r, array.geometry
+    cos_e = math.cos(source.elevation)  # sines of tiny angles keep their digits here, unlike those of ``phasor``
+    x, y, z = cos_e * math.cos(source.azimuth), cos_e * math.sin(source.azimuth), math.sin(source.elevation)
+    gx = gy = gz = gr = 0.0
+    for m in range(array.M):
+        by_s, by_r = slopes(EXACT, x * q[0, m] + y * q[1, m] + z * q[2, m], r, q[3, m])
+        sx, sy, sz = by_s * q[0, m], by_s * q[1, m], by_s * q[2, m]
+        if by_s > NEAR:
+            vx, vy, vz = towards(x, y, z, r, q[0, m], q[1, m], q[2, m])
+            sx, sy, sz, by_r = -r * vx, -r * vy, -r * vz, 1.0 - (vx * x + vy * y + vz * z)
+        gx += e[0, 0, m] * sx
+        gy += e[0, 0, m] * sy
+        gz += e[0, 0, m] * sz
+        gr += e[0, 0, m] * by_r
+    return gx, gy, gz, gr
+
+
+@compiled()
+def towards(x: float, y: float, z: float, r: float, qx: float, qy: float, qz: float) -> tuple[float, float, float]:
+    """The unit vector v = (p − q)/d from an element q to the source p = r·u, u = [x, y, z], at any distance d > 0.
+
+    At the element itself f has a kink, and v is u: as if the source were a little farther out on its ray.
+    """
+    vx, vy, vz = r * x - qx, r * y - qy, r * z - qz
+    largest = max(abs(vx), abs(vy), abs(vz))
+    if not largest > 0.0:
+        return x, y, z
+    vx, vy, vz = vx / largest, vy / largest, vz / largest  # so that no square underflows
+    length = math.sqrt(vx * vx + vy * vy + vz * vz)
+    return vx / length, vy / length, vz / length
 
 
 @compiled()

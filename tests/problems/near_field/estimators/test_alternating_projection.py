@@ -12,13 +12,13 @@ from nfbench import Budget, Incompatible, Minimum, OptionError, Problem, load_st
 from nfbench.core.options import build
 from nfbench.plugins import Registry
 from nfbench.problems.near_field.estimators.alternating_projection import AlternatingProjection
-from nfbench.problems.near_field.estimators.grid_refine import resolution_grid
 from nfbench.problems.near_field.estimators.nemo import Nemo
 from nfbench.problems.near_field.estimators.relaxation import relax
 from nfbench.problems.near_field.floor import local_fit
 from nfbench.problems.near_field.objectives.conditional_fit import ConditionalFit
 from nfbench.problems.near_field.objectives.rls import RLS
 from nfbench.problems.near_field.scenario import NearField
+from nfbench.problems.near_field.search import resolution_grid
 from nfbench.solvers.random_search import RandomSearch
 
 STUDY = Path(__file__).parents[4] / "studies" / "relaxation.toml"

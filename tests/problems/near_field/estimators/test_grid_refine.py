@@ -1,9 +1,8 @@
-"""Grid and refinement: the optimum of ESF compared with long global searches, gains and grids."""
+"""Grid and refinement: the optimum compared with long global searches, the objectives, and grids."""
 
 from dataclasses import replace
 
 import numpy as np
-import oracles
 import pytest
 from numpy.testing import assert_allclose
 
@@ -12,11 +11,12 @@ from nfbench import Incompatible, OptionError
 from nfbench.core.options import build
 from nfbench.plugins.registry import Registry
 from nfbench.problems.near_field.estimators import grid_refine
-from nfbench.problems.near_field.estimators.grid_refine import GridRefine, resolution_grid
-from nfbench.problems.near_field.estimators.refinement import refine, resolution
+from nfbench.problems.near_field.estimators.grid_refine import GridRefine
+from nfbench.problems.near_field.estimators.refinement import refine
 from nfbench.problems.near_field.instance import NearFieldInstance
-from nfbench.problems.near_field.objectives.subspace_fitting import ESF
+from nfbench.problems.near_field.objectives.subspace_fitting import SubspaceFit
 from nfbench.problems.near_field.scenario import NearField
+from nfbench.problems.near_field.search import resolution, resolution_grid, search_locally
 from nfbench.problems.near_field.subspace import signal_subspace
 
 PLANE = {
@@ -46,11 +46,11 @@ def solve(instance: NearFieldInstance, **options) -> np.ndarray:
     def never(problem):
         raise AssertionError("a formulation with needs_solver = False called minimize")
 
-    return GridRefine(**options).solve(instance, never)
+    return GridRefine(**options).solve(instance, never).estimate
 
 
-def esf_of(instance: NearFieldInstance) -> ESF:
-    return ESF(signal_subspace(instance.Y, instance.sources), instance.manifold, instance.lower, instance.upper)
+def esf_of(instance: NearFieldInstance) -> SubspaceFit:
+    return SubspaceFit(signal_subspace(instance.Y, instance.sources), instance.manifold, instance.lower, instance.upper)
 
 
 def excess(instance: NearFieldInstance, budget: int = 0, **options) -> float:
@@ -100,26 +100,6 @@ def test_without_noise_the_sources_are_found():
     assert_allclose(estimate[np.argsort(estimate[:, 0])], instance.theta, atol=1e-5)
 
 
-def test_a_gain_is_the_decrease_of_esf_by_one_more_source():
-    instance = scene()
-    U_s = signal_subspace(instance.Y, 3)
-    grid = np.random.default_rng(0).uniform(instance.lower, instance.upper, (20, 2))
-    for count in range(3):
-        A = [oracles.response(instance.manifold, theta) for theta in instance.theta[:count]]
-        before = oracles.esf(U_s, np.array(A).T) if A else 3.0
-        after = [oracles.esf(U_s, np.array([*A, oracles.response(instance.manifold, x)]).T) for x in grid]
-        gains = grid_refine._gains(U_s, instance.manifold, instance.theta[:count], grid)
-        assert_allclose(gains, before - np.array(after), atol=1e-12)
-
-
-def test_no_source_is_chosen_at_the_position_of_another():
-    instance = scene()
-    grid = np.vstack([instance.theta[0], instance.theta])
-    gains = grid_refine._gains(signal_subspace(instance.Y, 3), instance.manifold, instance.theta[:1], grid)
-    assert_allclose(gains[:2], 0.0)
-    assert gains[2:].min() > 0.5
-
-
 def test_the_grid_of_a_ula_is_uniform_in_sine_and_inverse_range():
     instance = scene()
     grid = resolution_grid(instance.manifold, instance.lower, instance.upper, 2.0)
@@ -151,6 +131,69 @@ def test_another_wavefront_may_be_assumed():
 def test_at_least_as_many_snapshots_as_sources_are_required():
     with pytest.raises(Incompatible, match=r"snapshots: expected at least 3 .* got 2"):
         solve(scene(snapshots=2))
+
+
+@pytest.mark.parametrize("objective", ["esf", "wsf", "dml"])
+def test_each_objective_is_at_the_minimum_that_a_search_from_the_truth_reaches(objective):
+    for seed in range(5):
+        instance = scene(seed, min_separation_deg=2.0)
+        F, _, _ = grid_refine._factors(instance.Y, 3, objective)
+        box = instance.manifold, instance.lower, instance.upper
+        known = search_locally(F, *box, instance.theta.ravel())
+        found = search_locally(F, *box, solve(instance, objective=objective).ravel())
+        assert found.value == pytest.approx(known.value, rel=1e-9) and found.steps <= 3
+
+
+def test_the_factors_have_the_weights_of_their_objectives():
+    instance = scene(snr_db=(0.0, 10.0, 20.0))
+    R = instance.Y @ instance.Y.conj().T / 200
+    values, vectors = np.linalg.eigh(R)
+    noise, top, U_s = values[:-3].mean(), values[-3:], vectors[:, -3:]
+    expected = {
+        "esf": U_s @ U_s.conj().T,
+        "wsf": (U_s * ((top - noise) ** 2 / top)) @ U_s.conj().T,
+        "dml": R,
+    }
+    for objective, product in expected.items():
+        F, _, _ = grid_refine._factors(instance.Y, 3, objective)
+        assert_allclose(F @ F.conj().T, product, rtol=0, atol=1e-10 * np.abs(product).max())
+
+
+def test_maximum_likelihood_works_with_fewer_snapshots_than_sources_and_for_coherent_sources():
+    instance = scene(1, min_separation_deg=10.0, snr_db=30.0)
+    short = replace(instance, Y=instance.Y[:, :2])
+    found = GridRefine(objective="dml").solve(short, None)
+    assert instance.score(found.estimate)["rmse_m"] < 0.5 and np.isfinite(found.columns["std_m"])
+    rng = np.random.default_rng(0)
+    symbols = np.outer([30.0, 30.0j, 20.0], rng.normal(size=200))
+    Y = instance.manifold.response(instance.theta).T @ symbols + rng.normal(size=(128, 200))
+    coherent = replace(instance, Y=Y.astype(complex))
+    assert instance.score(solve(coherent, objective="dml"))["rmse_m"] < 0.2
+
+
+def test_a_source_that_is_not_above_the_noise_has_no_standard_error_but_breaks_nothing():
+    instance = scene(0, snr_db=-60.0)
+    Y = np.zeros_like(instance.Y)
+    Y[:, :2] = instance.Y[:, :2]
+    for objective in ("esf", "wsf"):
+        found = GridRefine(objective=objective).solve(replace(instance, Y=Y), None)
+        assert found.estimate.shape == (3, 2) and np.isfinite(found.estimate).all()
+        assert np.isnan(found.columns["std_m"])
+
+
+def test_one_source_is_found():
+    instance = scene(3, sources=1)
+    found = GridRefine().solve(instance, None)
+    assert instance.score(found.estimate)["rmse_m"] < 5 * found.columns["std_1_m"] == 5 * found.columns["std_m"]
+
+
+@pytest.mark.parametrize("objective", ["esf", "wsf", "dml"])
+def test_data_that_are_not_finite_are_refused(objective):
+    instance = scene()
+    Y = instance.Y.copy()
+    Y[5, 7] = np.nan
+    with pytest.raises(ValueError, match="Y: expected finite data"):
+        solve(replace(instance, Y=Y), objective=objective)
 
 
 def test_it_is_built_from_a_manifest_table():

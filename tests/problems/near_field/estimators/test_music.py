@@ -11,7 +11,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import nfbench
-from nfbench import Incompatible, OptionError
+from nfbench import Incompatible, OptionError, Solution
 from nfbench.core.options import build
 from nfbench.plugins.registry import Registry
 from nfbench.problems.near_field.estimators import music
@@ -62,7 +62,8 @@ def solve(formulation, instance: NearFieldInstance) -> np.ndarray:
     def never(problem):
         raise AssertionError("a formulation with needs_solver = False called minimize")
 
-    return formulation.solve(instance, never)
+    found = formulation.solve(instance, never)
+    return found.estimate if isinstance(found, Solution) else found
 
 
 def spectrum_of(instance: NearFieldInstance) -> RLS:

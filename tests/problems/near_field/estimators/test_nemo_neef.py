@@ -25,8 +25,9 @@ from nfbench import (
 from nfbench.core.options import build
 from nfbench.problems.near_field.estimators.neef import Neef
 from nfbench.problems.near_field.estimators.nemo import Nemo
+from nfbench.problems.near_field.objectives.factors import factor
 from nfbench.problems.near_field.objectives.rls import RLS
-from nfbench.problems.near_field.objectives.subspace_fitting import ESF
+from nfbench.problems.near_field.objectives.subspace_fitting import SubspaceFit
 from nfbench.problems.near_field.scenario import NearField
 from nfbench.report.terminal import print_report
 
@@ -101,7 +102,7 @@ def test_neef_finds_the_sources():
     assert estimate.shape == (2, 2)
     assert instance.score(estimate)["rmse_m"] < 0.05
     (problem,) = problems
-    assert isinstance(problem, ESF)
+    assert isinstance(problem, SubspaceFit)
     assert_array_equal(problem.lower, np.tile(instance.lower, 2))
     assert_array_equal(problem.upper, np.tile(instance.upper, 2))
 
@@ -175,6 +176,31 @@ def test_an_estimator_may_assume_another_wavefront(formulation):
 def test_neef_requires_at_least_as_many_snapshots_as_sources():
     with pytest.raises(Incompatible, match=r"snapshots: expected at least 2 .* got 1"):
         Neef().solve(scene(snapshots=1), solved())
+
+
+@pytest.mark.parametrize("objective", ["esf", "wsf", "dml"])
+def test_neef_minimizes_the_objective_that_is_chosen(objective):
+    instance, problems = scene(), []
+    estimate = Neef(objective=objective).solve(instance, solved(problems))
+    assert instance.score(estimate)["rmse_m"] < 0.05
+    (problem,) = problems
+    assert isinstance(problem, SubspaceFit)
+    assert_array_equal(problem.factor, factor(instance.Y, 2, objective))
+    assert (problem.sources, problem.dimension) == (2, 4)
+
+
+def test_neef_fits_all_data_of_fewer_snapshots_than_sources():
+    instance = scene(snapshots=1, snr_db=40.0)
+    for objective in ("esf", "wsf"):
+        with pytest.raises(Incompatible, match=r"snapshots: expected at least 2 .* got 1"):
+            Neef(objective=objective).solve(instance, solved())
+    estimate = Neef(objective="dml").solve(instance, solved())
+    assert instance.score(estimate)["rmse_m"] < 0.1
+
+
+def test_an_objective_that_does_not_exist_is_refused():
+    with pytest.raises(OptionError, match="objective"):
+        Neef(objective="mse")
 
 
 def test_nemo_works_with_one_snapshot():

@@ -12,7 +12,7 @@ from nfbench.problems.near_field.channels import complex_normal
 from nfbench.problems.near_field.estimators import refinement as module
 from nfbench.problems.near_field.estimators.refinement import refine, resolution
 from nfbench.problems.near_field.objectives.rls import RLS
-from nfbench.problems.near_field.objectives.subspace_fitting import ESF
+from nfbench.problems.near_field.objectives.subspace_fitting import SubspaceFit
 from nfbench.problems.near_field.subspace import signal_subspace
 from nfbench.problems.near_field.wavefronts import Manifold
 
@@ -26,16 +26,16 @@ SPACE = Manifold(
 BOX = {2: (np.array([-1.0, 0.3]), np.array([1.0, 5.0])), 3: (np.array([-1.0, -0.5, 0.1]), np.array([1.0, 0.5, 2.0]))}
 
 
-def problems(manifold: Manifold, seed: int) -> list[RLS | ESF]:
+def problems(manifold: Manifold, seed: int) -> list[RLS | SubspaceFit]:
     """Return RLS for noisy data of two sources, and ESF for their signal subspace."""
     rng = np.random.default_rng(seed)
     lower, upper = BOX[manifold.dimension]
     Y = manifold.response(rng.uniform(lower, upper, (2, len(lower)))).T @ complex_normal(rng, (2, 30))
     Y += 0.1 * complex_normal(rng, Y.shape)
-    return [RLS(Y, manifold, lower, upper), ESF(signal_subspace(Y, 2), manifold, lower, upper)]
+    return [RLS(Y, manifold, lower, upper), SubspaceFit(signal_subspace(Y, 2), manifold, lower, upper)]
 
 
-def projected_gradient(problem: RLS | ESF, x: np.ndarray) -> np.ndarray:
+def projected_gradient(problem: RLS | SubspaceFit, x: np.ndarray) -> np.ndarray:
     """Return the gradient times the width of the box, without the components that point out of it."""
     width = problem.upper - problem.lower
     slope = problem.value_and_gradient(x)[1] * width

@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose
 from nfbench import Incompatible
 from nfbench.problems.near_field.arrays import ULA, UPA
 from nfbench.problems.near_field.channels import complex_normal
-from nfbench.problems.near_field.objectives.subspace_fitting import ESF
+from nfbench.problems.near_field.objectives.subspace_fitting import SubspaceFit
 from nfbench.problems.near_field.subspace import signal_subspace
 from nfbench.problems.near_field.wavefronts import Manifold
 
@@ -32,11 +32,11 @@ def subspace(manifold: Manifold, sources: int, seed: int = 0) -> np.ndarray:
     return signal_subspace(Y + complex_normal(rng, Y.shape), sources)
 
 
-def problem(manifold: Manifold, U_s: np.ndarray) -> ESF:
-    return ESF(U_s, manifold, *BOX[manifold.dimension])
+def problem(manifold: Manifold, U_s: np.ndarray) -> SubspaceFit:
+    return SubspaceFit(U_s, manifold, *BOX[manifold.dimension])
 
 
-def points(esf: ESF, count: int = 30, seed: int = 1) -> np.ndarray:
+def points(esf: SubspaceFit, count: int = 30, seed: int = 1) -> np.ndarray:
     return np.random.default_rng(seed).uniform(esf.lower, esf.upper, (count, esf.dimension))
 
 
@@ -203,7 +203,7 @@ def test_a_subspace_beyond_the_data_is_refused():
 
 
 def test_arguments_that_do_not_fit_are_refused():
-    with pytest.raises(ValueError, match=r"U_s: expected shape \(24, K\), got \(12, 2\)"):
+    with pytest.raises(ValueError, match=r"F: expected shape \(24, c\), got \(12, 2\)"):
         problem(PLANE, np.ones((12, 2), complex))
     with pytest.raises(ValueError, match=r"lower, upper: expected shape \(2,\)"):
-        ESF(subspace(PLANE, 2), PLANE, *BOX[3])
+        SubspaceFit(subspace(PLANE, 2), PLANE, *BOX[3])

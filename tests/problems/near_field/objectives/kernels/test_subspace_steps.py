@@ -5,24 +5,27 @@ import pytest
 from numpy.testing import assert_allclose
 
 from nfbench.problems.near_field.channels import complex_normal
-from nfbench.problems.near_field.objectives.kernels import pack_subspace
-from nfbench.problems.near_field.objectives.kernels.subspace_fitting import extend_cholesky, gram_row, project
+from nfbench.problems.near_field.objectives.kernels import pack_factor
+from nfbench.problems.near_field.objectives.kernels.inner_products import gram_row
+from nfbench.problems.near_field.objectives.kernels.subspace_fitting import extend_cholesky, project
 
 M = 21
 
 
-def steps(U_s: np.ndarray, A: np.ndarray, least: float) -> tuple[np.ndarray, np.ndarray, float]:
+def steps(F: np.ndarray, A: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
     """L, W and ‖W‖² after all steps."""
     K = A.shape[1]
-    rows, h, L, W = pack_subspace(U_s)
+    rows, h, L, W = pack_factor(F, K)
+    c = W.shape[1]
     L[:] = np.nan
     W[:] = np.nan
     energy = 0.0
     for j in range(K):
-        rows[0, K + j, :M], rows[1, K + j, :M] = A[:, j].real, A[:, j].imag
-        gram_row.py_func(rows, K, j, h)
-        assert_allclose(h[: K + j], A[:, j].conj() @ np.hstack([U_s, A[:, :j]]), rtol=0, atol=1e-12)
-        root = extend_cholesky.py_func(h, j, M, least, L)
+        rows[0, c + j, :M], rows[1, c + j, :M] = A[:, j].real, A[:, j].imag
+        gram_row.py_func(rows, c, j, h)
+        zeros = np.zeros((M, c - F.shape[1]))
+        assert_allclose(h[: c + j], A[:, j].conj() @ np.hstack([F, zeros, A[:, :j]]), rtol=0, atol=1e-12)
+        L[j, j] = root = np.sqrt(extend_cholesky.py_func(h, c, j, M, L))
         energy = project.py_func(h, L, j, root, W, energy)
     return L, W, energy
 
@@ -32,17 +35,31 @@ def test_the_steps_are_cholesky_and_forward_substitution(K):
     rng = np.random.default_rng(K)
     U_s = np.linalg.qr(complex_normal(rng, (M, K)))[0]
     A = np.exp(2j * np.pi * rng.random((M, K)))
-    L, W, energy = steps(U_s, A, 0.0)
+    L, W, energy = steps(U_s, A)
     expected = np.linalg.cholesky(A.conj().T @ A)
     assert_allclose(np.tril(L), expected, rtol=0, atol=1e-12)
     assert_allclose(W, np.linalg.solve(expected, A.conj().T @ U_s), rtol=0, atol=1e-12)
     assert energy == pytest.approx(np.linalg.norm(np.linalg.qr(A)[0].conj().T @ U_s) ** 2)
 
 
-def test_a_twin_gets_the_least_pivot_and_no_energy():
-    rng = np.random.default_rng(0)
-    U_s = np.linalg.qr(complex_normal(rng, (M, 2)))[0]
-    A = np.exp(2j * np.pi * rng.random((M, 1))) * np.ones(2)
-    L, _, energy = steps(U_s, A, 1e-13 * M)
-    assert L[1, 1] == np.sqrt(1e-13 * M)
-    assert energy == pytest.approx(np.linalg.norm(A[:, 0].conj() @ U_s) ** 2 / M, abs=1e-12)
+@pytest.mark.parametrize("c", [1, 16, 17, 21])
+def test_a_factor_of_any_width_and_a_triangular_one_beyond_the_lanes(c):
+    rng = np.random.default_rng(c)
+    F = complex_normal(rng, (M, c))
+    F = np.tril(F) if c > 16 else F
+    A = np.exp(2j * np.pi * rng.random((M, 3)))
+    _, W, energy = steps(F, A)
+    assert W.shape == (3, {1: 1, 16: 16, 17: 20, 21: 24}[c])
+    assert_allclose(W[:, c:], 0.0, atol=0)
+    assert energy == pytest.approx(np.linalg.norm(np.linalg.qr(A)[0].conj().T @ F) ** 2)
+
+
+def test_the_pivot_of_a_twin_vanishes():
+    A = np.exp(2j * np.pi * np.random.default_rng(0).random((M, 1))) * np.ones(2)
+    rows, h, L, _ = pack_factor(A[:, :1], 2)
+    rows[0, 1:3, :M], rows[1, 1:3, :M] = A.T.real, A.T.imag
+    for j in range(2):
+        gram_row.py_func(rows, 1, j, h)
+        pivot = extend_cholesky.py_func(h, 1, j, M, L)
+        L[j, j] = np.sqrt(max(pivot, 0.0))
+    assert abs(pivot) < 1e-13 * M

@@ -1,0 +1,24 @@
+"""The fast search for all sources of a scene at once, and the standard errors of what it finds."""
+
+from __future__ import annotations
+
+from .error_bars import covariance, standard_errors
+from .greedy import search_greedily
+from .grid import ResponseGrid, grid_size, resolution_grid, response_grid
+from .kernels import warm_up
+from .local_search import LocalMinimum, resolution, search_locally, unit_of
+
+__all__ = [
+    "LocalMinimum",
+    "ResponseGrid",
+    "covariance",
+    "grid_size",
+    "resolution",
+    "resolution_grid",
+    "response_grid",
+    "search_greedily",
+    "search_locally",
+    "standard_errors",
+    "unit_of",
+    "warm_up",
+]

@@ -1,0 +1,121 @@
+"""The grid whose spacing matches the resolution of the array, and the responses of its points."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from ..geometry import direction_derivatives
+from ..wavefronts import Manifold, Wavefront
+from . import kernels
+from .local_search import resolution
+
+__all__ = ["ResponseGrid", "grid_size", "resolution_grid", "response_grid"]
+
+SAMPLES = 61  # directions along each angle at which the beamwidth is computed
+LARGEST_TABLE = 64 * 2**20  # bytes; the responses of a larger grid are computed whenever they are needed
+REMEMBERED = 4  # grids, each of one array, wavefront, box and density
+
+
+@dataclass(frozen=True, eq=False)
+class ResponseGrid:
+    """A grid of candidate sources with their responses.
+
+    manifold: array and wavefront model.
+    lower: lower bounds of one source [rad, m], shape (d,).
+    upper: upper bounds of one source [rad, m], shape (d,).
+    points: candidates [rad, m], shape (p, d).
+    table: responses as the kernels read them, shape (2, p, padded), or (2, 0, padded) if they would be too large.
+    """
+
+    manifold: Manifold
+    lower: Float[ndarray, " d"]
+    upper: Float[ndarray, " d"]
+    points: Float[ndarray, "p d"]
+    table: Float[ndarray, "2 p padded"]
+
+
+def response_grid(
+    manifold: Manifold, lower: Float[ndarray, " d"], upper: Float[ndarray, " d"], density: float
+) -> ResponseGrid:
+    """Return the ``resolution_grid`` with its responses; those of the last few arrays and boxes are remembered."""
+    array = manifold.positions.tobytes(), manifold.wavelength_m, manifold.wavefront, manifold.has_elevation
+    return _remembered(*array, lower.tobytes(), upper.tobytes(), density)
+
+
+@lru_cache(maxsize=REMEMBERED)
+def _remembered(
+    positions: bytes,
+    wavelength_m: float,
+    wavefront: Wavefront,
+    has_elevation: bool,
+    lower: bytes,
+    upper: bytes,
+    density: float,
+) -> ResponseGrid:
+    kernels.warm_up()
+    manifold = Manifold(np.frombuffer(positions).reshape(-1, 3), wavelength_m, wavefront, has_elevation)
+    low, high = np.frombuffer(lower), np.frombuffer(upper)
+    points = resolution_grid(manifold, low, high, density)
+    width = manifold.packed[2].shape[1]
+    stored = points if 16 * width * len(points) < LARGEST_TABLE else points[:0]
+    return ResponseGrid(manifold, low, high, points, kernels.respond_all(*manifold.packed, stored))
+
+
+def resolution_grid(
+    manifold: Manifold, lower: Float[ndarray, " d"], upper: Float[ndarray, " d"], density: float
+) -> Float[ndarray, "p d"]:
+    """Return a grid of points (p, d) [rad, m] in the box, including its ends.
+
+    The beamwidth at direction u in an angle is λ/E, where E is the extent of q_m·∂u/∂angle over the array; for a ULA
+    the points are therefore uniform in sinφ. The spacing of elevations is fine enough for every azimuth, and vice
+    versa.
+
+    manifold: array and wavefront model.
+    lower: lower bounds of one source [rad, m], shape (d,).
+    upper: upper bounds of one source [rad, m], shape (d,).
+    density: number of grid points per beamwidth in each angle, and per depth of focus in inverse range.
+    """
+    axes = []
+    for axis, beamwidths in _beamwidths(manifold, lower, upper):
+        axes.append(np.interp(_uniform(0.0, beamwidths[-1], density), beamwidths, axis))
+    depth = resolution(manifold)[1]
+    axes.append(1 / (_uniform(1 / upper[-1] / depth, 1 / lower[-1] / depth, density) * depth))
+    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(lower))
+
+
+def grid_size(
+    manifold: Manifold, lower: Float[ndarray, " d"], upper: Float[ndarray, " d"], density: float
+) -> list[int]:
+    """Return about how many points ``resolution_grid`` has along each side, from the outermost elements."""
+    Q = manifold.positions
+    outermost = np.unique(np.argmax(Q @ (np.indices((3, 3, 3)).reshape(3, -1) - 1), axis=0))
+    few = Manifold(Q[outermost], manifold.wavelength_m, manifold.wavefront, manifold.has_elevation)
+    extents = [beamwidths[-1] for _, beamwidths in _beamwidths(few, lower, upper)]
+    extents.append((1 / lower[-1] - 1 / upper[-1]) / resolution(manifold)[1])
+    return [max(math.ceil(extent * density), 1) + 1 for extent in extents]
+
+
+def _beamwidths(
+    manifold: Manifold, lower: Float[ndarray, " d"], upper: Float[ndarray, " d"]
+) -> list[tuple[Float[ndarray, " samples"], Float[ndarray, " samples"]]]:
+    """Return, for each angle, samples of it [rad] and the number of beamwidths from the first of them to each."""
+    angles = manifold.dimension - 1
+    fine = [np.linspace(low, high, SAMPLES) for low, high in zip(lower[:angles], upper[:angles], strict=True)]
+    directions = np.stack([*np.meshgrid(*fine, indexing="ij"), np.ones([SAMPLES] * angles)], axis=-1)
+    slopes = direction_derivatives(directions.reshape(-1, angles + 1)) @ manifold.positions.T  # q_m·∂u [m/rad]
+    beams = np.ptp(slopes, axis=-1).reshape(*[SAMPLES] * angles, angles) / manifold.wavelength_m  # [1/rad]
+    found = []
+    for i, axis in enumerate(fine):
+        rate = beams[..., i].max(axis=tuple(j for j in range(angles) if j != i))
+        found.append((axis, np.concatenate([[0.0], np.cumsum((rate[1:] + rate[:-1]) / 2 * np.diff(axis))])))
+    return found
+
+
+def _uniform(first: float, last: float, density: float) -> Float[ndarray, " n"]:
+    return np.linspace(first, last, max(math.ceil((last - first) * density), 1) + 1)

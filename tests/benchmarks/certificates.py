@@ -1,0 +1,97 @@
+"""The certificate in numbers: ``OMP_NUM_THREADS=1 python tests/benchmarks/certificates.py [scenes]`` prints the tables.
+
+The first has, for each array and SNR, the share of scenes that are certified, the time of a whole ``solve`` of
+``certified`` from Y as a median over the scenes, the same as a multiple of that of grid-refine, measured in turn, and
+the evaluations of D. The second has the accuracy of the three objectives in line of sight, as pooled RMSE ÷ pooled
+stochastic bound over the same scenes. Processor times, one thread.
+"""
+
+from __future__ import annotations
+
+import math
+import statistics
+import sys
+import time
+from dataclasses import replace
+
+import numpy as np
+from kernels import PLANE, SPACE
+from rich.console import Console
+from rich.table import Table
+from threadpoolctl import threadpool_limits
+from timing import ratio
+
+from nfbench import minimize
+from nfbench.execution.environment import describe_environment
+from nfbench.problems.near_field.arrays import ULA
+from nfbench.problems.near_field.estimators.certified import Certified
+from nfbench.problems.near_field.estimators.grid_refine import GridRefine
+from nfbench.problems.near_field.scenario import NearField
+
+APART = 2.0  # degrees
+CENTRED = replace(PLANE, array=ULA(128, 0.25, "center"), wavefront="exact", min_separation_deg=APART)
+FIRST = replace(PLANE, array=ULA(128, 0.25, "first"), wavefront="paper", min_separation_deg=APART)
+PLANAR = replace(SPACE, min_separation_deg=APART)
+CASES: dict[str, tuple[NearField, tuple[float, ...]]] = {
+    "ULA 128, exact, centre": (CENTRED, (-5.0, 0.0, 10.0, 20.0, 30.0, 40.0)),
+    "ULA 128, paper, first": (FIRST, (0.0, 10.0, 20.0)),
+    "UPA 16×16": (PLANAR, (0.0, 10.0, 20.0, 30.0)),
+    "ULA 128, 5 sources": (replace(CENTRED, sources=5), (0.0, 20.0)),
+    "ULA 128, block fading κ = 100": (replace(CENTRED, rician_k=100.0, fading="block"), (20.0,)),
+    "ULA 128, block fading κ = 10": (replace(CENTRED, rician_k=10.0, fading="block"), (20.0,)),
+}
+
+
+def certificates(count: int) -> Table:
+    table = Table("certified", "dB", "scenes", "certified", "ms", "÷ grid-refine", "evaluations of D", "largest gap")
+    for name, (scenario, levels) in CASES.items():
+        for level in levels:
+            times: list[list[float]] = [[], []]
+            found: list[dict[str, float]] = []
+            for seed in range(count):
+                instance = replace(scenario, snr_db=level).draw(np.random.default_rng(seed))
+                for each, formulation in zip(times, (Certified(), GridRefine()), strict=True):
+                    start = time.thread_time()
+                    solution = formulation.solve(instance, minimize)  # type: ignore[arg-type]  # it never minimizes
+                    each.append(time.thread_time() - start)
+                    found += [dict(solution.columns)] if "certified" in solution.columns else []
+            proven = [columns["certified_gap"] for columns in found if columns["certified"]]
+            table.add_row(
+                name,
+                f"{level:g}",
+                f"{count}",
+                f"{len(proven)}",
+                f"{1e3 * statistics.median(times[0]):.2f}",
+                f"{ratio(*times):.1f}",
+                f"{statistics.median(columns['certificate_evaluations'] for columns in found):.0f}",
+                f"{max(proven, default=math.nan):.0e}",
+            )
+    return table
+
+
+def accuracy(count: int) -> Table:
+    table = Table("RMSE ÷ bound, 20 dB, line of sight", "scenes", "esf", "wsf", "dml")
+    for name, scenario in {"no separation": replace(FIRST, min_separation_deg=0.0), "2° apart": FIRST}.items():
+        squares = dict.fromkeys(("esf", "wsf", "dml"), 0.0)
+        bound = 0.0
+        for seed in range(count):
+            instance = replace(scenario, snr_db=20.0).draw(np.random.default_rng(seed))
+            bound += instance.bounds()["crb_m"] ** 2
+            for objective in squares:
+                estimate = GridRefine(objective=objective).solve(instance, minimize).estimate  # type: ignore[arg-type]
+                squares[objective] += instance.score(estimate)["rmse_m"] ** 2
+        table.add_row(name, f"{count}", *(f"{math.sqrt(square / bound):.2f}" for square in squares.values()))
+    return table
+
+
+def main() -> None:
+    count = int(sys.argv[1]) if len(sys.argv) > 1 else 100
+    console = Console(width=130)
+    console.print(f"{describe_environment()['cpu']}, one thread, 3 sources {APART:g}° apart where not stated")
+    console.print(certificates(count))
+    console.print(accuracy(10 * count))
+
+
+if __name__ == "__main__":
+    with threadpool_limits(1):
+        main()
