@@ -11,7 +11,7 @@ from nfbench.problems.near_field.certificate.chart import Chart, chart_of
 from nfbench.problems.near_field.estimators.grid_refine import GridRefine
 from nfbench.problems.near_field.estimators.refinement import refine
 from nfbench.problems.near_field.instance import NearFieldInstance
-from nfbench.problems.near_field.objectives.subspace_fitting import ESF
+from nfbench.problems.near_field.objectives.subspace_fitting import SubspaceFit
 from nfbench.problems.near_field.scenario import NearField
 from nfbench.problems.near_field.subspace import decompose
 from nfbench.problems.near_field.wavefronts import Manifold
@@ -48,9 +48,9 @@ def subspace(instance: NearFieldInstance) -> ndarray:
 
 def local_minimum(U: ndarray, instance: NearFieldInstance, theta: ndarray) -> ndarray:
     """Return the sources (K, d) at which a local search from ``theta`` ends."""
-    esf = ESF(U, instance.manifold, instance.lower, instance.upper)
+    fit = SubspaceFit(U, instance.manifold, instance.lower, instance.upper)
     clipped = np.clip(theta, instance.lower, instance.upper)
-    return refine(esf, clipped.ravel(), instance.manifold).reshape(theta.shape)
+    return refine(fit, clipped.ravel(), instance.manifold).reshape(theta.shape)
 
 
 def estimate(instance: NearFieldInstance) -> ndarray:

@@ -13,7 +13,7 @@ from nfbench.problems.near_field.certificate.cells import cells_of, unsheared
 from nfbench.problems.near_field.certificate.regions import prune_box, prune_leaves
 from nfbench.problems.near_field.objectives.kernels import pack_rows
 
-SMALL_PLANE = scenes.PLANE | {"array": scenes.PLANE["array"] | {"columns": 10, "rows": 8}, "range_m": [0.15, 1.5]}
+SMALL_PLANE = scenes.PLANE | {"array": scenes.PLANE["array"] | {"columns": 8, "rows": 8}, "range_m": [0.15, 1.0]}
 SHORT_PAPER = scenes.PAPER | {"array": scenes.PAPER["array"] | {"elements": 32, "spacing_wavelengths": 0.5}}
 SCENES = {
     "line": scenes.SHORT,
