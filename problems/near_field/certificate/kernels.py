@@ -21,6 +21,7 @@ __all__ = ["bound_energy", "components", "prune", "subspace_distances", "warm_up
 
 ROUNDING = 1e-11  # an upper bound of the error of D, with a margin of ten
 WIDER = 1.0 + 1e-9  # factor on lengths and boxes, for their rounding
+CENTRES = 1e-14  # relative rounding of the centres of boxes
 
 
 @compiled()
@@ -274,18 +275,20 @@ def bound_energy(
 def components(centres: Float[ndarray, "n d"], halves: Float[ndarray, "n d"]) -> Int[ndarray, " n"]:
     """The number, from 0, of the component of touching boxes that each box belongs to."""
     n, d = centres.shape
-    parent = np.arange(n)
+    parent, rounding = np.arange(n), np.empty(d)  # of centres, which may exceed that of lengths
+    for k in range(d):
+        rounding[k] = CENTRES * np.abs(centres[:, k]).max()
     order = np.argsort(centres[:, 0] - halves[:, 0])
     for p in range(n):
         i = order[p]
-        end = centres[i, 0] + halves[i, 0] * WIDER
+        end = centres[i, 0] + halves[i, 0] * WIDER + rounding[0]
         for q in range(p + 1, n):
             j = order[q]
             if centres[j, 0] - halves[j, 0] * WIDER > end:
                 break
             touching = True
             for k in range(1, d):
-                if abs(centres[i, k] - centres[j, k]) > (halves[i, k] + halves[j, k]) * WIDER:
+                if abs(centres[i, k] - centres[j, k]) > (halves[i, k] + halves[j, k]) * WIDER + rounding[k]:
                     touching = False
             if touching:
                 x, y = i, j

@@ -11,7 +11,7 @@ from nfbench.problems.near_field.certificate.chart import Chart, chart_of
 from nfbench.problems.near_field.estimators.grid_refine import GridRefine
 from nfbench.problems.near_field.estimators.refinement import refine
 from nfbench.problems.near_field.instance import NearFieldInstance
-from nfbench.problems.near_field.objectives.subspace_fitting import ESF
+from nfbench.problems.near_field.objectives.subspace_fitting import SubspaceFit
 from nfbench.problems.near_field.scenario import NearField
 from nfbench.problems.near_field.subspace import decompose
 from nfbench.problems.near_field.wavefronts import Manifold
@@ -48,9 +48,9 @@ def subspace(instance: NearFieldInstance) -> ndarray:
 
 def local_minimum(U: ndarray, instance: NearFieldInstance, theta: ndarray) -> ndarray:
     """Return the sources (K, d) at which a local search from ``theta`` ends."""
-    esf = ESF(U, instance.manifold, instance.lower, instance.upper)
+    fit = SubspaceFit(U, instance.manifold, instance.lower, instance.upper)
     clipped = np.clip(theta, instance.lower, instance.upper)
-    return refine(esf, clipped.ravel(), instance.manifold).reshape(theta.shape)
+    return refine(fit, clipped.ravel(), instance.manifold).reshape(theta.shape)
 
 
 def estimate(instance: NearFieldInstance) -> ndarray:
@@ -78,29 +78,41 @@ def random_coordinates(chart: Chart, n: int, rng: np.random.Generator) -> ndarra
     return rng.uniform(chart.lower, chart.upper, (n, chart.dimension))
 
 
-def phases(chart: Chart, c: ndarray) -> ndarray:
-    """Return ψ (n, M) in the centred gauge at coordinates c (n, d), by distances."""
-    kappa = c[:, -1:]
+def advances(chart: Chart, c: ndarray) -> ndarray:
+    """Return 2π(r − d) (n, M) in the precision of c (n, d), by the printed distances."""
+    c = np.asarray(c)
+    Q, r = chart.Q.astype(c.dtype), 1 / c[:, -1:]
     if chart.is_sine:
-        u = np.stack([np.sqrt(1 - c[:, 0] ** 2), c[:, 0], 0 * c[:, 0]], axis=1)
+        u = np.stack([0 * c[:, 0], c[:, 0], 0 * c[:, 0]], axis=1)
     else:
-        elevation = c[:, 1] if chart.dimension == 3 else np.zeros(len(c))
+        elevation = c[:, 1] if chart.dimension == 3 else 0 * c[:, 0]
         horizontal = np.cos(elevation)
         u = np.stack([horizontal * np.cos(c[:, 0]), horizontal * np.sin(c[:, 0]), np.sin(elevation)], axis=1)
-    s, w, r = u @ chart.Q.T, np.sum(chart.Q**2, axis=1), 1 / kappa
+    s, w = u @ Q.T, np.sum(Q**2, axis=1)
     match chart.manifold.wavefront:
         case "exact":
-            f = r - np.linalg.norm(u[:, None] * r[:, :, None] - chart.Q, axis=2)
+            d = np.sqrt(r**2 - 2 * r * s + w)
         case "fresnel":
-            f = s - (w - s**2) / (2 * r)
+            d = r - s + (w - s**2) / (2 * r)
         case _:
-            f = s - w / (2 * r)
-    psi = 2 * np.pi * f
+            d = r - s + w / (2 * r)
+    return 2 * np.arccos(c.dtype.type(-1)) * (r - d)
+
+
+def phases(chart: Chart, c: ndarray) -> ndarray:
+    """Return ψ (n, M) in the centred gauge."""
+    psi = advances(chart, c)
     return psi - psi.mean(axis=1, keepdims=True)
 
 
 def responses(chart: Chart, c: ndarray) -> ndarray:
+    """Return the unit responses â (n, M) in the centred gauge."""
     return np.exp(1j * phases(chart, c)) / np.sqrt(len(chart.Q))
+
+
+def distances(U: ndarray, chart: Chart, c: ndarray) -> ndarray:
+    """Return D = 1 − ‖Uᴴâ‖² (n,)."""
+    return 1 - np.sum(np.abs(responses(chart, c) @ U.conj()) ** 2, axis=1)
 
 
 def in_unit_ball(n: int, d: int, rng: np.random.Generator) -> ndarray:
