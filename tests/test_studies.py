@@ -20,7 +20,7 @@ RESULTS = PROJECT / "results"
 MANIFESTS = sorted((PROJECT / "studies" / "paper").glob("*.toml"))
 REFUSED = {"rmse_snr_half": {"modified MUSIC 400×2000"}}  # methods that a study includes to show that they are refused
 NEW = ("line_of_sight", "snr_imbalance")  # studies of results/paper that were run with today's seeds and tables
-JUDGED = sorted([*RESULTS.glob("paper/*/claims.csv"), *RESULTS.glob("optimizer_choice/claims.csv")])
+JUDGED = sorted([*RESULTS.glob("paper/*/claims.csv"), *RESULTS.glob("*/claims.csv")])
 RELAXATION = PROJECT / "studies" / "relaxation.toml"
 WITH_CLAIMS = [
     *MANIFESTS,

@@ -20,7 +20,7 @@ DOCS = ROOT / "docs"
 PAGES = {
     "results/paper/README.md": "results/paper.md",
     "results/optimizer_choice/README.md": "results/optimizer_choice.md",
-    "results/optimizer_choice/all.md": "results/all_solvers.md",
+    "results/certified/README.md": "results/certified.md",
     "CHANGELOG.md": "project/changelog.md",
     "CONTRIBUTING.md": "project/contributing.md",
 }

@@ -34,12 +34,16 @@ STEPS = {
 }
 ROUNDING = 1e-11  # of J, with a margin of ten
 CONVEX = 1e-6  # least curvature m that counts as positive
-FINER = {2: (1 / 10, 1 / 16, 1 / 20), 3: (1 / 3, 1 / 5, 1 / 8)}  # of those that T5 and T6 try after the first
+STAGES: dict[int, tuple[tuple[float | None, bool], ...]] = {
+    2: ((None, False), (None, True), (1 / 10, True), (1 / 16, True), (1 / 20, True)),
+    3: ((None, False), (1 / 3, False), (1 / 5, True), (1 / 8, True)),
+}  # what T5 and T6 try: β/α of the leaves, None for those that there are, and whether balls are covered by smaller ones
+COVERING = 1 / 4  # β/α from which T4 covers the ball of a region by smaller balls
 LOOPS = 16
 PARTS = {2: 5, 3: 4}  # cubes along each axis of t that cover a ball, by dimension
 COVERED = 0.1  # radius from which covering a ball is worth it
 SCALES = (0.15, 0.3, 0.5, 0.75, 1.0)  # parts of a segment, to the end of which bounds hold
-SHARES = {2: (1 / 4, 1 / 6, 1 / 10), 3: (1 / 2, 1 / 3, 1 / 5, 1 / 8)}  # β/α of the leaves that T4 tries, by dimension
+SHARES = {2: (1 / 4, 1 / 6, 1 / 10), 3: (1 / 2, 1 / 3, 1 / 4, 1 / 6)}  # β/α of the leaves that T4 tries, by dimension
 MOST_REGIONS = 14
 FLAT = 1e-6  # gradient by t that adds no more than about 1e-12 to the gap
 SQUARED = 1e-13  # an upper bound of the error of the square of a norm of order one
@@ -138,11 +142,11 @@ class _Proof:
                 continue
             others = np.setdiff1d(np.arange(leaves.regions), mine)
             numbered = leaves.only(np.append(mine, others))
-            if self.no_region_holds_two(numbered):
+            if self.no_region_holds_two(numbered, covering=share <= COVERING):
                 return self.refine(numbered)
         return 3, math.inf
 
-    def no_region_holds_two(self, leaves: Leaves) -> bool:
+    def no_region_holds_two(self, leaves: Leaves, *, covering: bool) -> bool:
         """T4 for every region: each configuration with two sources in it has J > f*."""
         K = len(self.sources.C)
         if K == 1:
@@ -150,7 +154,7 @@ class _Proof:
         others = [leaves.centre(k) for k in range(K, leaves.regions)]
         sources = charted(self.chart, np.vstack([self.sources.C, others])) if others else self.sources
         rho = np.array([each.max() for each in leaves.distances(sources)])
-        parts = (1, PARTS[self.chart.dimension])
+        parts = (1, PARTS[self.chart.dimension]) if covering else (1,)
         return any((two_sources(sources, rho, self.U, n) > self.f * (1 + 1e-9)).all() for n in parts)
 
     def refine(self, leaves: Leaves) -> tuple[int, float]:
@@ -158,7 +162,7 @@ class _Proof:
         K = len(self.sources.C)
         thresholds = np.full(leaves.regions, self.f)
         step = 4
-        for share in (None, *FINER[self.chart.dimension]):
+        for share, covering in STAGES[self.chart.dimension]:
             if share is not None:
                 finer = prune_leaves(leaves, self.rows, thresholds, share)
                 if finer is None:
@@ -170,7 +174,7 @@ class _Proof:
                 step = 5
                 continue
             step = 4
-            gap, thresholds = self.one_minimum(leaves, thresholds)
+            gap, thresholds = self.one_minimum(leaves, thresholds, covering=covering)
             if gap < math.inf:
                 return 0, gap
         return step, math.inf
@@ -193,7 +197,7 @@ class _Proof:
         kept = np.flatnonzero(possible)
         return leaves.only(kept), thresholds[kept]
 
-    def one_minimum(self, leaves: Leaves, thresholds: ndarray) -> tuple[float, ndarray]:
+    def one_minimum(self, leaves: Leaves, thresholds: ndarray, *, covering: bool) -> tuple[float, ndarray]:
         """T6 on the product of balls around the sources, which T5 shrinks until it holds; a gap of inf if it fails."""
         sources, U, f = self.sources, self.U, self.f
         K = len(sources.C)
@@ -207,7 +211,7 @@ class _Proof:
         scales: tuple[float, ...] = (1.0,)
         for _ in range(LOOPS):
             r = min(r, math.sqrt(np.sum(rho**2)))
-            T, T_D, weights = self.thirds(sources, expansions, rho, r, scales)
+            T, T_D, weights = self.thirds(expansions, rho, r, scales, covering=covering)
             r = min(r, _joint_radius(longest, least_of, weights, f))
             m = curvature - r * T / 3
             if m > CONVEX:
@@ -222,17 +226,17 @@ class _Proof:
         return math.inf, thresholds
 
     def thirds(
-        self, sources: Charted, expansions: list[Expansion], rho: ndarray, r: float, scales: tuple[float, ...]
+        self, expansions: list[Expansion], rho: ndarray, r: float, scales: tuple[float, ...], *, covering: bool
     ) -> tuple[float, ndarray, ndarray]:
         """Return bounds of the averages of |J'''| and |D'''| on segments from the centres, and the weights of T5.
 
         The average has the weight 3(1 − s)², and what bounds the derivatives on balls of radius sρ holds up to s.
         """
-        D = np.array([e.value for e in expansions])
+        sources, D = self.sources, np.array([e.value for e in expansions])
         T, T_D, before, weights = 0.0, np.zeros(len(D)), 0.0, np.ones(len(D))
         for s in scales:
             near = s * rho
-            parts = PARTS[self.chart.dimension] if len(scales) > 1 and near.max() > COVERED else 1
+            parts = PARTS[self.chart.dimension] if covering and near.max() > COVERED else 1
             pieces, radii, first = cover(sources, near, parts)
             each = ball_bounds(pieces, radii, self.U)
             bounds, found = over_cover(each, first), couplings(pieces, radii, each, first, sources)

@@ -34,9 +34,10 @@ class Certified(Formulation):
 
     The sources are found as by ``grid-refine``. If J is their misfit, every source of every configuration that is as
     good lies where the signal subspace is nearly as close to its response. Branch and bound confines this set to small
-    regions. It is then proven that each of them holds one source, and that J has one minimum there (the documentation
-    has the proofs, on the page "The certified minimum"). The proof holds for exact, Fresnel and the paper's wavefronts
-    and any array, up to the rounding of the signal subspace. It says nothing about the error of the positions.
+    regions. It is then proven that each of them holds one source, and that J has one minimum there. The page "Proof of
+    a global minimum" of the documentation (docs/certificate.md) has the proofs. They hold for exact, Fresnel and the
+    paper's wavefronts and any array, up to the rounding of the signal subspace. They say nothing about the error of the
+    positions.
 
     The result is stored in columns, besides the standard errors that ``grid-refine`` stores:
 
