@@ -1,7 +1,7 @@
 """Localization in numbers: ``OMP_NUM_THREADS=1 python tests/benchmarks/certificates.py [scenes]`` prints the tables.
 
-The first are those of ``localization.py``. The next has, for each array and SNR, the share of scenes that are
-certified, the time of a whole ``solve`` of ``certified`` from Y as a median over the scenes, the same as a multiple of that of
+The first are those of ``localization.py``. The next has, for each array and SNR, the share of certified scenes, the
+time of a whole ``solve`` of ``certified`` from Y as a median over the scenes, the same as a multiple of that of
 grid-refine, measured in turn, and the evaluations of D. The next has the accuracy of the three objectives in line of
 sight, as pooled RMSE ÷ pooled stochastic bound over the same scenes, and the last that of NEMO with and without
 relaxation, where each search is a grid with a local search. Processor times, one thread.
