@@ -21,6 +21,7 @@ PAGES = {
     "results/paper/README.md": "results/paper.md",
     "results/optimizer_choice/README.md": "results/optimizer_choice.md",
     "results/certified/README.md": "results/certified.md",
+    "results/relaxation/README.md": "results/relaxation.md",
     "CHANGELOG.md": "project/changelog.md",
     "CONTRIBUTING.md": "project/contributing.md",
 }
