@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from nfbench import Formulation, Ge, Instance, Lt, Minimize
+from nfbench import Formulation, Ge, Instance, Lt, Minimize, Reference
 
 from ..enumeration import Criterion, Sources, how_many
 from ..instance import NearFieldInstance
@@ -18,6 +18,7 @@ from ..objectives.conditional_fit import ConditionalFit
 from ..objectives.factors import Objective, factor
 from ..search import warm_up as warm_up_search
 from ..wavefronts import Wavefront
+from .certified import certified_first_source
 from .relaxation import TOLERANCE, place, relax
 
 __all__ = ["AlternatingProjection"]
@@ -75,6 +76,17 @@ class AlternatingProjection(Formulation):
         """Return the estimates of a search for one source that is not refined; otherwise None."""
         single = how_many(instance, self.sources, self.criterion) == 1
         return X[:, None] if single and not self.refine else None
+
+    def reference(self, instance: NearFieldInstance) -> Reference | None:
+        """Return the certified minimum of the first problem, the fit of one source, to a stated gap."""
+        K = how_many(instance, self.sources, self.criterion)
+        if K == 0:
+            return None
+        F, manifold = factor(instance.Y, K, self.objective), instance.manifold.under(self.wavefront)
+        found = certified_first_source(F, manifold, instance.lower, instance.upper)
+        columns = {"certificate_evaluations": float(found.evaluations)}
+        step = 0 if found.certified else 1
+        return Reference(found.J, found.gap, found.certified, found.theta, step, columns)
 
     def solve(self, instance: NearFieldInstance, minimize: Minimize) -> Float[ndarray, "k d"]:
         """Return the sources (K, d) [rad, m] in the order in which the start finds them.
