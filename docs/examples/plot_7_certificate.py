@@ -22,7 +22,7 @@ from nfbench.problems.near_field.certificate import certify
 from nfbench.problems.near_field.certificate.cells import cells_of
 from nfbench.problems.near_field.certificate.regions import prune_box
 from nfbench.problems.near_field.objectives.kernels import pack_rows
-from nfbench.problems.near_field.objectives.subspace_fitting import ESF
+from nfbench.problems.near_field.objectives.subspace_fitting import SubspaceFit
 from nfbench.problems.near_field.scenario import NearField
 
 scenario = NearField(
@@ -38,7 +38,7 @@ scenario = NearField(
 scene = scenario.draw(np.random.default_rng(1))
 K = scene.sources
 U = np.ascontiguousarray(np.linalg.svd(scene.Y, full_matrices=False)[0][:, :K])
-esf = ESF(U, scene.manifold, scene.lower, scene.upper)
+esf = SubspaceFit(U, scene.manifold, scene.lower, scene.upper)
 found = nfbench.minimize(esf, nfbench.solver("cmaes"), nfbench.Budget(evaluations=60_000), seed=1)
 print(f"CMA-ES: J = {found.value:.9f} after {found.evaluations:,} evaluations")
 
