@@ -12,7 +12,6 @@ from numpy import ndarray
 
 from nfbench import Ge, Gt, Instance, Le, Lt, OneOf, OptionError, Scenario
 
-from . import kernels_subspace
 from .arrays import UCA, ULA, UPA, Array, Custom, unusual
 from .channels import IID, ClusterAroundSource, Clusters, Isotropic, NLoS, complex_normal, rician
 from .geometry import ambiguity
@@ -125,7 +124,6 @@ class NearField(Scenario):
 
     def warm_up(self) -> None:
         kernels.warm_up()
-        kernels_subspace.warm_up()
 
     def manifold(self) -> Manifold:
         """Return the array and the wavefront model with which the data are generated."""

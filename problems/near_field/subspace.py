@@ -14,7 +14,7 @@ from scipy.linalg.blas import zherk
 
 from nfbench import Incompatible
 
-from . import kernels_subspace as kernels
+from .block_power import fix_phases, power_iteration
 
 __all__ = ["SignalSubspace", "compress", "decompose", "signal_subspace"]
 
@@ -65,7 +65,6 @@ def decompose(Y: Complex[ndarray, "m t"], sources: int) -> SignalSubspace:
         raise Incompatible(text)
     if not 1 <= sources <= M:
         raise ValueError(f"sources: expected a number from 1 to M = {M}, got {sources}")
-    kernels.warm_up()
     Y = np.ascontiguousarray(Y, dtype=np.complex128)
     energy = float(np.vdot(Y, Y).real)
     if not math.isfinite(energy) and not np.isfinite(Y).all():
@@ -74,7 +73,7 @@ def decompose(Y: Complex[ndarray, "m t"], sources: int) -> SignalSubspace:
     noise = energy - float(squares.sum())
     if noise < CANCELLED * energy:  # most digits are lost
         noise = float(np.linalg.norm(Y - U @ (U.conj().T @ Y)) ** 2)
-    return SignalSubspace(kernels.fix_phases(U), squares / T, noise / T / max(M - sources, 1))
+    return SignalSubspace(fix_phases(U), squares / T, noise / T / max(M - sources, 1))
 
 
 _Found: TypeAlias = tuple[ndarray, ndarray] | None  # vectors (M, K) and squared singular values of Y (K,), descending
@@ -85,7 +84,7 @@ def _by_power_iteration(Y: Complex[ndarray, "m t"], K: int) -> _Found:
     M, T = Y.shape
     if min(M, T) < max(SMALL, K + 2):
         return None
-    converged, vectors, squares = kernels.power_iteration(Y, _start(K + 2, T), K, ANGLE)
+    converged, vectors, squares = power_iteration(Y, _start(K + 2, T), K, ANGLE)
     return (vectors.T, squares) if converged else None
 
 
