@@ -83,10 +83,7 @@ class AlternatingProjection(Formulation):
         if K == 0:
             return None
         F, manifold = factor(instance.Y, K, self.objective), instance.manifold.under(self.wavefront)
-        found = certified_first_source(F, manifold, instance.lower, instance.upper)
-        columns = {"certificate_evaluations": float(found.evaluations)}
-        step = 0 if found.certified else 1
-        return Reference(found.J, found.gap, found.certified, found.theta, step, columns)
+        return certified_first_source(F, manifold, instance.lower, instance.upper)
 
     def solve(self, instance: NearFieldInstance, minimize: Minimize) -> Float[ndarray, "k d"]:
         """Return the sources (K, d) [rad, m] in the order in which the start finds them.

@@ -9,10 +9,10 @@ import numpy as np
 from jaxtyping import Complex, Float
 from numpy import ndarray
 
-from nfbench import Formulation, Incompatible, Instance, Minimize, Solution
+from nfbench import Formulation, Incompatible, Instance, Minimize, Reference, Solution
 
 from .. import search
-from ..certificate import Certificate, OneSource, certify, certify_one_source, unproven
+from ..certificate import Certificate, certify, certify_one_source, unproven
 from ..certificate import warm_up as warm_up_certificate
 from ..enumeration import Criterion, Sources, how_many
 from ..instance import NearFieldInstance
@@ -118,8 +118,8 @@ def certified_minimum(
 
 def certified_first_source(
     L: Complex[ndarray, "m c"], manifold: Manifold, lower: Float[ndarray, " d"], upper: Float[ndarray, " d"]
-) -> OneSource:
-    """Return the source that explains most of the data, or of any factor of them, and what is proven about it.
+) -> Reference:
+    """Return the proven optimum of RLS over one source, of the data or of any factor of them, to a stated gap.
 
     Raises Incompatible where no bound of the phases is known.
     """
@@ -131,4 +131,5 @@ def certified_first_source(
             break
         theta = search.search_locally(L, manifold, lower, upper, best.theta).x
         best = certify_one_source(L, manifold, lower, upper, theta, GAP)
-    return best
+    columns = {"certificate_evaluations": float(best.evaluations)}
+    return Reference(best.J, best.gap, best.certified, best.theta, 0 if best.certified else 1, columns)

@@ -84,10 +84,7 @@ class Nemo(Formulation):
         if how_many(instance, self.sources, self.criterion) == 0:
             return None
         manifold = instance.manifold.under(self.wavefront)
-        found = certified_first_source(compress(instance.Y), manifold, instance.lower, instance.upper)
-        columns = {"certificate_evaluations": float(found.evaluations)}
-        step = 0 if found.certified else 1
-        return Reference(found.J, found.gap, found.certified, found.theta, step, columns)
+        return certified_first_source(compress(instance.Y), manifold, instance.lower, instance.upper)
 
     def solve(self, instance: NearFieldInstance, minimize: Minimize) -> Float[ndarray, "k d"]:
         """Return the sources (K, d) [rad, m] in the order of their detection."""
