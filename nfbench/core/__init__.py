@@ -20,6 +20,7 @@ from .errors import (
     message_of,
 )
 from .formulation import Formulation, Minimize, Solution
+from .localization import Localization, Picture
 from .meter import MeteredProblem
 from .minimization import budget_problem, budget_warning, common_start, minimize, start_problem
 from .minimum import Minimum
@@ -62,6 +63,7 @@ __all__ = [
     "Instance",
     "InvalidEvaluation",
     "Le",
+    "Localization",
     "Lt",
     "ManifestError",
     "MeteredProblem",
@@ -72,6 +74,7 @@ __all__ = [
     "OneOf",
     "OptionError",
     "Options",
+    "Picture",
     "PluginError",
     "PluginOption",
     "Problem",

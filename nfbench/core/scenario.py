@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 from numpy import ndarray
 
+from .localization import Localization
 from .options import Options
 from .problem import Problem
 
@@ -40,6 +42,14 @@ class Instance(ABC):
 
         Row k of the second array is the estimate assigned to source k, or NaN if no estimate is assigned to it. The
         default is None, which means that there are no positions to show.
+        """
+        return None
+
+    def describe(self, estimate: ndarray, columns: Mapping[str, float]) -> Localization | None:
+        """Return what an estimate says about the sources, for ``nfbench localize``; None if there is nothing to say.
+
+        estimate: an estimate as for ``score``.
+        columns: columns of the Solution from which it comes; empty if there are none.
         """
         return None
 

@@ -15,7 +15,7 @@ from numpy import ndarray
 
 from nfbench import FilePath, Ge, Gt, Le, OptionError, Options
 
-from .geometry import flatness, nearest_distances
+from .geometry import Frame, flatness, nearest_distances
 
 __all__ = ["MAX_ELEMENTS", "UCA", "ULA", "UPA", "Array", "Custom", "Origin", "unusual"]
 
@@ -30,6 +30,9 @@ NEARLY = 0.9998  # cosine of 1°
 
 Origin: TypeAlias = Literal["first", "center"]
 """The point from which range and angles are measured: the first element (as in the paper) or the centroid of all."""
+
+Axis: TypeAlias = Literal["+x", "-x", "+y", "-y", "+z", "-z"] | tuple[float, float, float]
+"""A direction in the coordinates of an array: an axis by name, or a vector of any length."""
 
 _Positive: TypeAlias = Annotated[float, Gt(0.0), Le(1e6)]
 _Elements: TypeAlias = Annotated[int, Ge(2), Le(MAX_ELEMENTS)]
@@ -48,9 +51,16 @@ class Array(ABC):
         Q = self.place(wavelength_m)
         return 2 * float(np.linalg.norm(Q - Q.mean(axis=0), axis=1).max())
 
+    def frame(self, wavelength_m: float) -> Frame:
+        """Return the coordinates in which the array is described; by default those of ``place``."""
+        return Frame(np.eye(3), np.zeros(3))
+
     @abstractmethod
     def place(self, wavelength_m: float) -> Float[ndarray, "m 3"]:
-        """Return the element positions [m] relative to the origin, shape (M, 3), for a wavelength [m]."""
+        """Return the element positions [m] relative to the origin, shape (M, 3), for a wavelength [m].
+
+        The broadside is the x axis, and the z axis points upwards.
+        """
 
 
 @dataclass(frozen=True)
@@ -155,14 +165,21 @@ class Custom(Options, Array):
         elements).
     positions: list of positions [x, y, z] of the elements [m]; None: they are read from ``file``.
     file: path of a .npy or .csv file with one row x, y, z [m] per element; None: ``positions`` is used.
+    broadside: direction in front of the array, in the coordinates of the positions, where azimuth and elevation are 0:
+        "+x", "-x", "+y", "-y", "+z", "-z", or a vector [x, y, z]; None: "+x".
+    up: direction upwards, towards which elevations are positive, given like ``broadside``; its part along the broadside
+        is ignored. None: "+z", or "+y" if the broadside is along z.
     """
 
     kind: ClassVar[str] = "custom"
     origin: Origin
     positions: tuple[tuple[float, float, float], ...] | None = None
     file: FilePath | None = None
+    broadside: Axis | None = None
+    up: Axis | None = None
 
     def validate(self) -> None:
+        self._axes()
         if (self.positions is None) == (self.file is None):
             raise ValueError(f"expected either positions or file, got {'neither' if self.file is None else 'both'}")
         source = "positions" if self.file is None else f"file {Path(self.file).name}"
@@ -187,7 +204,37 @@ class Custom(Options, Array):
         return len(self.positions or ())
 
     def place(self, wavelength_m: float) -> Float[ndarray, "m 3"]:
-        return _relative(np.array(self.positions), self.origin)
+        Q = _relative(np.array(self.positions), self.origin)
+        return Q if self.broadside is self.up is None else Q @ self._axes().T
+
+    def frame(self, wavelength_m: float) -> Frame:
+        Q = np.array(self.positions)
+        return Frame(self._axes(), Q[0] if self.origin == "first" else Q.mean(axis=0))
+
+    def _axes(self) -> Float[ndarray, "3 3"]:
+        """Return the unit vectors of broadside, left and up in the coordinates of the positions, one per row."""
+        x = _unit("broadside", "+x" if self.broadside is None else self.broadside)
+        usual: Axis = "+y" if abs(x[2]) > NEARLY else "+z"
+        up = _unit("up", usual if self.up is None else self.up)
+        z = up - (up @ x) * x
+        if np.linalg.norm(z) < 0.01:
+            text = f"expected a direction that is not along the broadside {self.broadside or '+x'}, got {self.up}"
+            raise OptionError(type(self).__name__, [("up", text)])
+        z /= np.linalg.norm(z)
+        return np.stack([x, np.cross(z, x), z]) + 0.0
+
+
+def _unit(name: str, axis: Axis) -> Float[ndarray, " 3"]:
+    """Return the unit vector of an axis. Raises OptionError if it is not a direction."""
+    if isinstance(axis, str):
+        vector = np.zeros(3)
+        vector["xyz".index(axis[1])] = -1.0 if axis[0] == "-" else 1.0
+        return vector
+    vector = np.array(axis)
+    length = float(np.linalg.norm(vector))
+    if not 1e-12 < length < 1e12:
+        raise OptionError("Custom", [(name, f"expected a direction, got {list(axis)}")])
+    return vector / length
 
 
 def _relative(Q: Float[ndarray, "m 3"], origin: Origin) -> Float[ndarray, "m 3"]:

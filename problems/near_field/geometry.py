@@ -6,12 +6,36 @@ The x axis points to the broadside of the built-in ULA and UPA, the y axis along
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 from scipy.spatial import KDTree
 
-__all__ = ["ambiguity", "cartesian", "direction_derivatives", "directions", "flatness", "nearest_distances"]
+__all__ = ["Frame", "ambiguity", "cartesian", "direction_derivatives", "directions", "flatness", "nearest_distances"]
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """The coordinates in which a user describes an array, related to those of this module.
+
+    axes: unit vectors of the x (broadside), y and z (up) axes of this module, one per row, in the user's coordinates.
+    origin: point from which ranges and angles are measured, in the user's coordinates [m].
+    """
+
+    axes: Float[ndarray, "3 3"]
+    origin: Float[ndarray, " 3"]
+
+    def inward(self, points: Float[ndarray, "*p 3"]) -> Float[ndarray, "*p 3"]:
+        """Return points given in the user's coordinates in those of this module [m]."""
+        p: ndarray = (points - self.origin) @ self.axes.T
+        return p
+
+    def outward(self, points: Float[ndarray, "*p 3"]) -> Float[ndarray, "*p 3"]:
+        """Return points given in the coordinates of this module in those of the user [m]."""
+        p: ndarray = points @ self.axes + self.origin
+        return p
 
 
 def directions(theta: Float[ndarray, "*p d"]) -> Float[ndarray, "*p 3"]:
