@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Literal, TypeAlias
 
 import numpy as np
 from jaxtyping import Complex
 from numpy import ndarray
 
+from nfbench import Incompatible
+
 from ..subspace import compress, decompose
 
-__all__ = ["Objective", "factor"]
+__all__ = ["Objective", "factor", "factors", "noise_weights"]
 
 Objective: TypeAlias = Literal["esf", "wsf", "dml"]
 """What K sources are fitted to: the signal subspace, the weighted signal subspace, or all data."""
@@ -42,3 +45,42 @@ def factor(Y: Complex[ndarray, "m t"], sources: int, objective: Objective) -> Co
     signal = np.maximum(eigenvalues - noise, 0.0)
     weights = np.divide(signal, np.sqrt(eigenvalues), out=np.zeros_like(signal), where=signal > 0)
     return U_s * weights
+
+
+def factors(Y: Sequence[Complex[ndarray, "m t"]], sources: int, objective: Objective) -> list[Complex[ndarray, "m c"]]:
+    """Return the factors of frequency bins, whose misfits are added; of a single bin the ``factor``.
+
+    esf: the factors as they are, so that all bins have the same weight.
+    wsf, dml: multiplied by the square roots of ``noise_weights``, so that the sum of the misfits is a log-likelihood
+        up to a scale.
+
+    Y: received data of each bin, shape (M, T).
+    sources: number K of sources.
+    objective: "esf", "wsf" or "dml".
+    """
+    found = [factor(each, sources, objective) for each in Y]
+    if len(found) == 1 or objective == "esf":
+        return found
+    return [math.sqrt(weight) * F for weight, F in zip(noise_weights(Y, sources), found, strict=True)]
+
+
+def noise_weights(Y: Sequence[Complex[ndarray, "m t"]], sources: int) -> list[float]:
+    """Return the weight (T_f/σ̂_f²)/(T_1/σ̂_1²) of each frequency bin f, so that that of the first is 1.
+
+    With them a sum of WSF or DML over the bins is −σ̂_1²/T_1 times the log-likelihood of independent bins whose noise
+    has different powers σ_f², up to a constant. The powers are estimated by the means of the M − K smallest
+    eigenvalues. Where that is impossible in a bin, because it has no more snapshots than sources or no noise, noise of
+    the same power is assumed in all bins.
+
+    Y: received data of each bin, shape (M, T).
+    sources: number K of sources.
+    """
+    snapshots = [each.shape[1] for each in Y]
+    try:
+        noise = [decompose(each, sources).noise for each in Y]
+    except Incompatible:
+        noise = [0.0]
+    if min(noise) <= 0:
+        noise = [1.0] * len(Y)
+    precisions = [T / power for T, power in zip(snapshots, noise, strict=True)]
+    return [precision / precisions[0] for precision in precisions]
