@@ -10,11 +10,12 @@ import numpy as np
 from jaxtyping import Complex
 from numpy import ndarray
 
-from nfbench import Incompatible
-
 from ..subspace import compress, decompose
 
 __all__ = ["Objective", "factor", "factors", "noise_weights"]
+
+NOISELESS = 1e-18
+"""Power of the noise, relative to the largest eigenvalue, below which it is due to the rounding of the subspace."""
 
 Objective: TypeAlias = Literal["esf", "wsf", "dml"]
 """What K sources are fitted to: the signal subspace, the weighted signal subspace, or all data."""
@@ -76,11 +77,16 @@ def noise_weights(Y: Sequence[Complex[ndarray, "m t"]], sources: int) -> list[fl
     sources: number K of sources.
     """
     snapshots = [each.shape[1] for each in Y]
-    try:
-        noise = [decompose(each, sources).noise for each in Y]
-    except Incompatible:
-        noise = [0.0]
-    if min(noise) <= 0:
+    noise = [_noise(each, sources) for each in Y]
+    if 0.0 in noise:
         noise = [1.0] * len(Y)
     precisions = [T / power for T, power in zip(snapshots, noise, strict=True)]
     return [precision / precisions[0] for precision in precisions]
+
+
+def _noise(Y: Complex[ndarray, "m t"], sources: int) -> float:
+    """Return the power of the noise; 0 where it cannot be estimated."""
+    if Y.shape[1] <= sources:
+        return 0.0
+    _, eigenvalues, noise = decompose(Y, sources)
+    return noise if noise > NOISELESS * eigenvalues[0] else 0.0

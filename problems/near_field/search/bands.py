@@ -79,6 +79,12 @@ def search_bands_locally(
     def invert(v: Float[ndarray, " n"]) -> Float[ndarray, " n"]:
         return np.where(is_range, 1 / np.where(is_range, v, 1.0), v)
 
+    def locate(z: Float[ndarray, " n"]) -> Float[ndarray, " n"]:
+        """Return x of z [rad, m], exactly on an edge where z is."""
+        placed = np.clip(invert(z * units), low, high)
+        placed = np.where(z <= ends[0], np.where(is_range, high, low), placed)
+        return np.where(z >= ends[1], np.where(is_range, low, high), placed)
+
     ends = np.sort([invert(low) / units, invert(high) / units], axis=0)
     held = np.arange(len(x)) < fixed * d
     energy = sum(float(np.vdot(F, F).real) for F, _ in fits)
@@ -95,7 +101,7 @@ def search_bands_locally(
             damping, growth = damping * growth, 2 * growth
             continue
         moved = np.where(s == ends[0] - z, ends[0], np.where(s == ends[1] - z, ends[1], np.clip(z + s, *ends)))
-        trial = np.clip(np.where(held, best, invert(moved * units)), low, high)
+        trial = np.where(held, best, locate(moved))
         steps += 1
         then = _at(fits, unit, trial)
         drop = now.J - then.J
