@@ -10,11 +10,11 @@ import numpy as np
 from jaxtyping import Bool, Complex, Float
 from numpy import ndarray
 
+from ..geometry import cartesian
 from ..objectives.conditional_fit import ConditionalFit
 from ..objectives.sum_of_fits import SumOfFits
 from ..wavefronts import Manifold
 from . import kernels
-from .greedy import SAME_LOBE
 from .grid import resolution_grid
 from .local_search import LocalMinimum, unit_of
 
@@ -28,6 +28,8 @@ ENOUGH = 1e-15  # decrease of J, relative to J, at which the search ends
 LOST = 1e-13  # predicted decrease below which J may rise by its rounding errors alone
 ROUNDING = 1e-30  # decrease of J, relative to ‖F‖², below which J is only the rounding of the residuals
 FLAT = 1e-14  # least curvature, relative to the greatest
+LOBES = 6  # from which a source is searched
+LOBE = 0.6  # range of the path differences over the array within the main lobe, in wavelengths; its null is at 1
 CERTAIN = 1e-10  # least pivot of AᴴA, relative to M, and least eigenvalue of the scaled curvature for a covariance
 
 
@@ -165,7 +167,9 @@ def search_bands_greedily(
 ) -> LocalMinimum:
     """Return a minimizer of Σ_f ‖(I − P_A,f)F_f‖² within the box, found as by ``search_greedily``.
 
-    The grid is that of the shortest wavelength, which has the finest beams.
+    The grid is that of the shortest wavelength, which has the finest beams. Where the elements are far apart, a source
+    has aliases that differ from it by less than a point of the grid from its peak: each choice is the best of the local
+    minima near several points.
 
     fits: what is fitted in each bin.
     lower: lower bounds of one source [rad, m], shape (d,).
@@ -174,12 +178,17 @@ def search_bands_greedily(
     density: number of grid points per beamwidth and depth of focus.
     sweeps: maximum number of sweeps, in each of which every source is chosen again once.
     """
-    points = resolution_grid(_shortest(fits), lower, upper, density)
+    array = _shortest(fits)
+    points = resolution_grid(array, lower, upper, density)
 
     def choose(others: Float[ndarray, "k d"]) -> Float[ndarray, " d"]:
-        """Return the grid point that lowers the misfit most, given the other sources."""
+        """Return where one more source lowers the misfit most, given the other sources."""
         misfit = SumOfFits(ConditionalFit(F, manifold, lower, upper, others) for F, manifold in fits)
-        best: ndarray = points[np.argmin(misfit.evaluate(points))]
+        starts = _lobes(array, points[np.argsort(misfit.evaluate(points), kind="stable")])
+        ends = [
+            search_bands_locally(fits, lower, upper, np.append(others, start), fixed=len(others)) for start in starts
+        ]
+        best: ndarray = min(ends, key=lambda end: end.value).x[others.size :]
         return best
 
     theta = np.empty((0, len(lower)))
@@ -191,7 +200,7 @@ def search_bands_greedily(
         for k in range(sources):
             theta = best.x.reshape(sources, -1).copy()
             point = choose(np.delete(theta, k, axis=0))
-            if _alike(fits, point, theta[k]):
+            if _in_lobe(array, point, theta[k : k + 1]).any():
                 continue
             theta[k] = point
             trial = search_bands_locally(fits, lower, upper, theta.ravel())
@@ -202,11 +211,22 @@ def search_bands_greedily(
     return best
 
 
-def _alike(fits: Sequence[BandFit], point: Float[ndarray, " d"], source: Float[ndarray, " d"]) -> bool:
-    """Whether a grid point is in the lobe of a source in all bins, so that a local search from there ends at it."""
-    pair = np.stack([point, source])
-    responses = [manifold.response(pair) for _, manifold in fits]
-    return all(abs(np.vdot(a, b)) ** 2 >= SAME_LOBE * len(a) ** 2 for a, b in responses)
+def _lobes(array: Manifold, points: Float[ndarray, "p d"]) -> list[Float[ndarray, " d"]]:
+    """Return the first of the points, and those that follow in other lobes, at most LOBES."""
+    found = points[:1]
+    while len(found) < LOBES and len(points):
+        points = points[~_in_lobe(array, found[-1], points)]
+        found = np.vstack([found, points[:1]])
+    return list(found)
+
+
+def _in_lobe(array: Manifold, source: Float[ndarray, " d"], points: Float[ndarray, "p d"]) -> Bool[ndarray, " p"]:
+    """Whether points are in the main lobe of a source: a local search from there may end at it.
+
+    Aliases are in other lobes, although their responses are alike: what counts is the path, not its phase.
+    """
+    ahead = [np.linalg.norm(cartesian(each)[..., None, :] - array.positions, axis=-1) for each in (source, points)]
+    return np.ptp(ahead[1] - ahead[0], axis=-1) < LOBE * array.wavelength_m
 
 
 def covariance_of_bands(
