@@ -29,6 +29,8 @@ LOST = 1e-13  # predicted decrease below which J may rise by its rounding errors
 ROUNDING = 1e-30  # decrease of J, relative to ‖F‖², below which J is only the rounding of the residuals
 FLAT = 1e-14  # least curvature, relative to the greatest
 LOBES = 6  # from which a source is searched
+PROMISING = 0.9  # gain of a lobe on the finer grid, relative to the best, from which it is searched
+FINER = 7  # points of the finer grid along each axis
 LOBE = 0.6  # range of the path differences over the array within the main lobe, in wavelengths; its null is at 1
 CERTAIN = 1e-10  # least pivot of AᴴA, relative to M, and least eigenvalue of the scaled curvature for a covariance
 
@@ -184,9 +186,15 @@ def search_bands_greedily(
     def choose(others: Float[ndarray, "k d"]) -> Float[ndarray, " d"]:
         """Return where one more source lowers the misfit most, given the other sources."""
         misfit = SumOfFits(ConditionalFit(F, manifold, lower, upper, others) for F, manifold in fits)
-        starts = _lobes(array, points[np.argsort(misfit.evaluate(points), kind="stable")])
+        J = misfit.evaluate(points)
+        near = [_around(array, point, density, lower, upper) for point in _lobes(array, points[np.argsort(J)])]
+        values = [misfit.evaluate(each) for each in near]
+        gains = J.max() - np.array([each.min() for each in values])
+        starts = [each[np.argmin(value)] for each, value in zip(near, values, strict=True)]
         ends = [
-            search_bands_locally(fits, lower, upper, np.append(others, start), fixed=len(others)) for start in starts
+            search_bands_locally(fits, lower, upper, np.append(others, start), fixed=len(others))
+            for start, gain in zip(starts, gains, strict=True)
+            if gain >= PROMISING * gains.max()
         ]
         best: ndarray = min(ends, key=lambda end: end.value).x[others.size :]
         return best
@@ -218,6 +226,22 @@ def _lobes(array: Manifold, points: Float[ndarray, "p d"]) -> list[Float[ndarray
         points = points[~_in_lobe(array, found[-1], points)]
         found = np.vstack([found, points[:1]])
     return list(found)
+
+
+def _around(
+    array: Manifold,
+    point: Float[ndarray, " d"],
+    density: float,
+    lower: Float[ndarray, " d"],
+    upper: Float[ndarray, " d"],
+) -> Float[ndarray, "p d"]:
+    """Return a finer grid around a grid point, as far as its neighbours."""
+    unit = unit_of(array)
+    offsets = np.stack(np.meshgrid(*[np.linspace(-1, 1, FINER)] * len(point), indexing="ij"), axis=-1) * unit / density
+    fine = point + offsets.reshape(-1, len(point))
+    inverse = np.clip(1 / point[-1] + offsets[..., -1].ravel(), 1 / upper[-1], 1 / lower[-1])
+    fine[:, -1] = 1 / inverse
+    return np.clip(fine, lower, upper)
 
 
 def _in_lobe(array: Manifold, source: Float[ndarray, " d"], points: Float[ndarray, "p d"]) -> Bool[ndarray, " p"]:
