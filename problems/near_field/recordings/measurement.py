@@ -49,9 +49,8 @@ def spectral_snapshots(
     """
     if not 1 <= frequency_hz / rate_hz * block <= block / 2 - 1:
         low, high = rate_hz / block, rate_hz / 2 - rate_hz / block
-        raise ValueError(
-            f"frequency_hz: expected a value from {low:g} to {high:g} Hz for blocks of {block} samples, got {frequency_hz:g}"
-        )
+        interval = f"from {low:g} to {high:g} Hz for blocks of {block} samples"
+        raise ValueError(f"frequency_hz: expected a value {interval}, got {frequency_hz:g}")
     if x.shape[1] < block:
         raise ValueError(f"block: expected at least one block of {block} samples, got {x.shape[1]} samples")
     hop = max(1, round(block * (1 - overlap)))
