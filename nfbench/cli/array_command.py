@@ -12,7 +12,7 @@ from typing import Any
 from rich.table import Table
 from rich.text import Text
 
-from nfbench.core import NfbenchError, OptionError, PluginError, Survey, canonical, printable
+from nfbench.core import NfbenchError, OptionError, PluginError, Scenario, Survey, canonical, printable
 from nfbench.plugins import Registry
 from nfbench.study import load_scenarios
 
@@ -89,6 +89,7 @@ def _surveys(name: str, given: ArrayOptions, plugins: Sequence[Path]) -> Iterato
     table = {"kind": "custom", "file": name} if is_file else {"kind": name}
     try:
         scenario = registry.find("scenario", SCENARIO).resolve()
+        assert issubclass(scenario, Scenario)
         survey = scenario.survey({"array": {"origin": "center", **table, **given.array}, **given.carrier})
     except OptionError as error:
         raise _with_flags(error) from error
@@ -109,7 +110,11 @@ def _of_manifest(path: Path, plugins: Sequence[Path]) -> Iterator[tuple[str, Sur
             continue
         seen.add(key)
         about = {name: value for name, value in swept.items() if name.split(".")[0] in wanted}
-        yield ", ".join([path.name, *(f"{name} = {value}" for name, value in about.items())]), survey
+        yield ", ".join([path.name, *(f"{name} = {_shown(value)}" for name, value in about.items())]), survey
+
+
+def _shown(value: Any) -> str:
+    return value if isinstance(value, str) else json.dumps(value)
 
 
 def _with_flags(error: OptionError) -> OptionError:

@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 from nfbench.core import NfbenchError
 from nfbench.results import Results
 
-from .array import array_figure, write_array_figure
+from .array import write_array_figure
 from .attainment import attainment_figure
 from .convergence import convergence_figure
 from .data import Drawn, drawn
@@ -37,7 +37,6 @@ __all__ = [
     "KINDS",
     "Drawing",
     "Kind",
-    "array_figure",
     "figures",
     "styled",
     "write_array_figure",

@@ -23,6 +23,7 @@ from .plausibility import FLAT, unusual
 __all__ = ["survey"]
 
 FAR_APART = 50.0  # extent [m] from which an array without a wavelength is suspected to be in millimetres
+HALF = 0.505  # wavelengths; spacings up to this are half a wavelength with rounding
 MANY = 12  # names that are listed
 
 
@@ -125,7 +126,7 @@ def _doubts(array: Array, Q: Float[ndarray, "m 3"], wavelength: float | None) ->
         return
     yield from unusual(array, wavelength, faces_forward=True)
     spacing = float(np.median(nearest_distances(Q))) / wavelength
-    if spacing > 0.5 + 1e-9:
+    if spacing > HALF:
         text = f"array: half of the elements are {spacing:.3g} λ or more from the nearest other one, more than λ/2"
         uniform = np.ptp(nearest_distances(Q)) < 1e-6 * spacing * wavelength
         which = "grating lobes, other directions that fit as well," if uniform else "strong side lobes"
