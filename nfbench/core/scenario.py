@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy import ndarray
@@ -13,6 +13,7 @@ from numpy import ndarray
 from .localization import Localization
 from .options import Options
 from .problem import Problem
+from .survey import Survey
 
 __all__ = ["Extra", "Instance", "ProblemInstance", "Scenario"]
 
@@ -113,6 +114,16 @@ class Scenario(Options, ABC):
         return within milliseconds. The default is an empty list.
         """
         return []
+
+    @classmethod
+    def survey(cls, options: Mapping[str, Any]) -> Survey | None:
+        """Return what is worth knowing about the array in some options of the scenario, for ``nfbench show array``.
+
+        options: ``array`` and what determines the wavelength, as in a manifest; other options may be missing.
+
+        Raise OptionError if they are invalid. The default is None, which means that the scenario has no array.
+        """
+        return None
 
     @abstractmethod
     def draw(self, rng: np.random.Generator) -> Instance:

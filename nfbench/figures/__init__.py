@@ -18,6 +18,7 @@ from matplotlib.figure import Figure
 from nfbench.core import NfbenchError
 from nfbench.results import Results
 
+from .array import write_array_figure
 from .attainment import attainment_figure
 from .convergence import convergence_figure
 from .data import Drawn, drawn
@@ -31,7 +32,16 @@ from .runtime import runtime_figure
 from .style import styled
 from .tradeoff import spread_of_costs, tradeoff_figure
 
-__all__ = ["FORMATS", "KINDS", "Drawing", "Kind", "figures", "styled", "write_figures"]
+__all__ = [
+    "FORMATS",
+    "KINDS",
+    "Drawing",
+    "Kind",
+    "figures",
+    "styled",
+    "write_array_figure",
+    "write_figures",
+]
 
 FORMATS: dict[str, dict[str, Any]] = {  # metadata; None drops what changes with the date or version
     "svg": {"Date": None, "Creator": "nfbench"},
