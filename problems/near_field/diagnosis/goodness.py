@@ -90,9 +90,7 @@ def misfit(A: Complex[ndarray, "k m"], Y: Complex[ndarray, "m t"]) -> float:
     return float(np.vdot(residual, residual).real / np.vdot(Y, Y).real)
 
 
-def source_covariance(
-    A: Complex[ndarray, "k m"], spectrum: Spectrum, noise: float
-) -> Complex[ndarray, "k k"]:
+def source_covariance(A: Complex[ndarray, "k m"], spectrum: Spectrum, noise: float) -> Complex[ndarray, "k k"]:
     """Return the covariance of the signals, A⁺(R̂ − σ²I)A⁺ᴴ, for responses A, one per row."""
     inverse = np.linalg.pinv(A.T)
     half = inverse @ (spectrum.U * np.sqrt(spectrum.eigenvalues))
