@@ -20,9 +20,10 @@ def data_warnings(Y: Complex[ndarray, "m t"]) -> list[str]:
     finite = np.isfinite(Y)
     if not finite.all():
         element, snapshot = np.argwhere(~finite)[0]
+        bad = int((~finite).sum())
         return [
-            f"the data contain {int((~finite).sum())} numbers that are NaN or infinite, the first at element "
-            f"{element}, snapshot {snapshot} (counted from 0); leave out these snapshots, or the element with failed (--failed)"
+            f"the data contain {bad} numbers that are NaN or infinite, the first at element {element}, snapshot {snapshot} "
+            f"(counted from 0); leave out these snapshots, or the element with failed (--failed)"
         ]
     power = np.mean(np.abs(Y) ** 2, axis=1)
     if not power.any():
@@ -36,7 +37,7 @@ def data_warnings(Y: Complex[ndarray, "m t"]) -> list[str]:
     median = float(np.median(power))
     dead = np.flatnonzero(power <= DEAD * median) if median > 0 else np.flatnonzero(power == 0)
     if len(dead):
-        listed = " ".join(map(str, dead[:SHOWN])) + (f" and {len(dead) - SHOWN} more" if len(dead) > SHOWN else "")
+        listed = ",".join(map(str, dead[:SHOWN])) + (f" and {len(dead) - SHOWN} more" if len(dead) > SHOWN else "")
         one = len(dead) == 1
         found.append(
             f"{'element' if one else 'elements'} {listed} (counted from 0) {'is' if one else 'are'} dead: "

@@ -94,8 +94,8 @@ def _counts(seen: Spectrum, K: int, T: int) -> list[str]:
     if n > K and seen.noise > 0:
         searched = f"{K} sources are" if K > 1 else "1 source is"
         return [
-            f"{n} eigenvalues rise above white noise, but {searched} searched: there are more sources, reflections or coloured noise; try sources = {K + 1} (--sources {K + 1}), or give the "
-            f"covariance of the noise"
+            f"{n} eigenvalues rise above white noise, but {searched} searched: there are more sources, reflections or "
+            f"coloured noise; try sources = {K + 1} (--sources {K + 1}), or give the covariance of the noise"
         ]
     return []
 
