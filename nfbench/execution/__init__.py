@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from .compile_ahead import warm_up
     from .engine import RunAll, ordered_runner, run_specs
-    from .localization import Procedure, localize, procedure
+    from .localization import Procedure, localize, procedure, recommended
     from .run_study import Listener, run
 
 __all__ = [
@@ -18,6 +18,7 @@ __all__ = [
     "localize",
     "ordered_runner",
     "procedure",
+    "recommended",
     "run",
     "run_specs",
     "warm_up",
@@ -30,6 +31,7 @@ _MODULES = {
     "localize": "localization",
     "ordered_runner": "engine",
     "procedure": "localization",
+    "recommended": "localization",
     "run": "run_study",
     "run_specs": "engine",
     "warm_up": "compile_ahead",

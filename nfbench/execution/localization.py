@@ -32,10 +32,12 @@ from nfbench.core import (
     start_problem,
 )
 from nfbench.plugins import Registry
+from nfbench.results import Results
+from nfbench.study import load_methods
 
 from .storable import Unstorable, plain_estimate
 
-__all__ = ["Procedure", "describe_instance", "localize", "procedure"]
+__all__ = ["Procedure", "localize", "procedure", "recommended"]
 
 EVALUATIONS = 20_000  # of a solver whose budget is not given
 SCENARIO = "recorded"
@@ -46,12 +48,14 @@ class Procedure:
     """A formulation and, where it needs one, a solver with its budget.
 
     start: number of points of a common start for the solver; None: the solver starts by itself.
+    label: name of the method in a study; empty if it is not from a study.
     """
 
     formulation: Formulation
     solver: Solver | None = None
     budget: Budget | None = None
     start: int | None = None
+    label: str = ""
 
 
 def localize(
@@ -90,7 +94,7 @@ def localize(
             how = _estimating(how)
         scenario.warm_up()
         instance = scenario.draw(np.random.default_rng(seed))
-    return describe_instance(scenario, instance, how, seed)
+    return _described(scenario, instance, how, seed)
 
 
 def procedure(
@@ -125,7 +129,33 @@ def procedure(
     return Procedure(formulation, solver, budget)
 
 
-def describe_instance(scenario: Scenario, instance: Instance, how: Procedure, seed: int) -> Localization:
+def recommended(folder: str | Path, plugins: Iterable[str | Path] = ()) -> Procedure:
+    """Return the method that a study recommends over all its swept points, as the report names it.
+
+    Raises StoreError or NfbenchError if the folder holds no study, or if the study recommends no method.
+    """
+    results = Results(Path(folder))
+    blocks = results.evidence().ranking.blocks
+    best = [block.methods[block.order[0]] for block in blocks[-1:] if block.order]
+    if blocks and not best and len(blocks[-1].methods) == 1:
+        best = list(blocks[-1].methods)
+    if not best:
+        raise NfbenchError(f"{folder}: the study recommends no method yet; run more scenes, or give the method")
+    methods = {method.label: method for method in load_methods(results.folder / "manifest.toml", plugins)}
+    if (chosen := methods.get(best[0])) is None:
+        raise NfbenchError(f"{folder}: the study recommends {best[0]}, which is not in its manifest.toml")
+    registry = Registry(plugins)
+    if broken := chosen.formulation.broken or (chosen.solver.broken if chosen.solver else None):
+        raise NfbenchError(f"{folder}: the study recommends {best[0]}, which is not available: {broken}")
+    formulation = registry.make("formulation", chosen.formulation.kind, chosen.formulation.options)
+    if chosen.solver is None:
+        return Procedure(formulation, label=best[0])
+    solver = registry.make("solver", chosen.solver.kind, chosen.solver.options)
+    limits = {name: value for name, value in (chosen.budget or {}).items() if name in ("evaluations", "seconds")}
+    return Procedure(formulation, solver, Budget(**limits), (chosen.budget or {}).get("start"), best[0])
+
+
+def _described(scenario: Scenario, instance: Instance, how: Procedure, seed: int) -> Localization:
     """Solve an instance and describe the estimate, with the warnings of the scenario and the formulation.
 
     Raises NfbenchError if there is no estimate; the message includes what may be wrong with the data.

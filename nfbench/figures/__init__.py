@@ -25,13 +25,24 @@ from .distribution import distribution_figure
 from .drawing import KINDS, Drawing, Kind, NotDrawnError
 from .error import error_figures
 from .expected_cost import ert_figure
+from .localization import localization_figure, write_localization_figure
 from .positions import few_enough, position_figures
 from .ranks import ranks_figure
 from .runtime import runtime_figure
 from .style import styled
 from .tradeoff import spread_of_costs, tradeoff_figure
 
-__all__ = ["FORMATS", "KINDS", "Drawing", "Kind", "figures", "styled", "write_figures"]
+__all__ = [
+    "FORMATS",
+    "KINDS",
+    "Drawing",
+    "Kind",
+    "figures",
+    "localization_figure",
+    "styled",
+    "write_figures",
+    "write_localization_figure",
+]
 
 FORMATS: dict[str, dict[str, Any]] = {  # metadata; None drops what changes with the date or version
     "svg": {"Date": None, "Creator": "nfbench"},

@@ -40,7 +40,7 @@ def edge_warnings(theta: Float[ndarray, "k d"], lower: Float[ndarray, " d"], upp
         ):
             if not outside.any() or (name == "azimuth" and upper[i] - lower[i] >= FULL_TURN):
                 continue
-            which = " and ".join(str(k + 1) for k in np.flatnonzero(outside))
+            which = _listed([str(k + 1) for k in np.flatnonzero(outside)])
             unit = "m" if name == "range" else "deg"
             value = f"{bound:.6g} m" if unit == "m" else f"{math.degrees(bound):.6g}°"
             many = outside.sum() > 1
@@ -50,6 +50,11 @@ def edge_warnings(theta: Float[ndarray, "k d"], lower: Float[ndarray, " d"], upp
                 f"{name}_{unit} (--{name}-{unit})"
             )
     return found
+
+
+def _listed(words: list[str]) -> str:
+    """Join words: "1, 2 and 3"."""
+    return " and ".join(filter(None, [", ".join(words[:-1]), words[-1]]))
 
 
 def coincidence_warnings(theta: Float[ndarray, "k d"], manifold: Manifold) -> list[str]:

@@ -22,8 +22,8 @@ def data_warnings(Y: Complex[ndarray, "m t"]) -> list[str]:
         element, snapshot = np.argwhere(~finite)[0]
         bad = int((~finite).sum())
         return [
-            f"the data contain {bad} numbers that are NaN or infinite, the first at element {element}, snapshot {snapshot} "
-            f"(counted from 0); leave out these snapshots, or the element with failed (--failed)"
+            f"the data contain {bad} numbers that are NaN or infinite, the first at element {element}, snapshot "
+            f"{snapshot} (counted from 0); leave out these snapshots, or the element with failed (--failed)"
         ]
     power = np.mean(np.abs(Y) ** 2, axis=1)
     if not power.any():

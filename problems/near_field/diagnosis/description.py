@@ -127,7 +127,7 @@ def _sources(
 
 
 def _edges(lower: Float[ndarray, " d"], upper: Float[ndarray, " d"]) -> list[Float[ndarray, "points 3"]]:
-    """Return the edges of the box as lines in the coordinates of the model: one per coordinate that varies."""
+    """Return lines along the edges of the box, and in 3D through the middle of its sides."""
     d, fraction = len(lower), np.linspace(0.0, 1.0, BOX_POINTS)
     lines = []
     for i in range(d):
@@ -137,4 +137,11 @@ def _edges(lower: Float[ndarray, " d"], upper: Float[ndarray, " d"]) -> list[Flo
             line = np.repeat(np.where(np.array(ends) == 0, lower, upper)[None], BOX_POINTS, axis=0)
             line[:, i] = lower[i] + fraction * (upper[i] - lower[i])
             lines.append(cartesian(line))
+    if d == 3:  # the outline of the box seen along an axis
+        middle = np.array([np.mean([lower[0], upper[0]]), np.clip(0.0, lower[1], upper[1]), 0.0])
+        for r in (lower[2], upper[2]):
+            for i in (0, 1):
+                line = np.repeat(middle[None], BOX_POINTS, axis=0)
+                line[:, i], line[:, 2] = lower[i] + fraction * (upper[i] - lower[i]), r
+                lines.append(cartesian(line))
     return lines

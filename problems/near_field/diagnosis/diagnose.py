@@ -111,9 +111,9 @@ def _misfit(
 ) -> list[str]:
     """Say how badly the model fits, and whether another reading of the data or another estimate fits far better."""
     explained = quality.explained if quality else 0.0
-    best = search_share(seen, manifold, lower, upper, K) if explained < NEARLY_ALL else explained
+    best = search_share(seen, manifold, lower, upper, K) if explained < NEARLY_ALL and K < manifold.elements else None
     other = None
-    if explained < NEARLY_ALL:
+    if max(explained, best or 0.0) < NEARLY_ALL and K < manifold.elements:
         other = better_alternative(seen, manifold, frame, lower, upper, K, max(explained, best or 0.0))
     found = [other] if other else []
     if quality and not math.isnan(quality.p_value):
