@@ -94,6 +94,13 @@ class Scenario(Options, ABC):
     def warm_up(self) -> None:
         """Compile or load what the runs need. It is called before the first run, so that no run time includes it."""
 
+    def ranked_by(self) -> str:
+        """Return the name of the score by which methods are ranked with these options; the default is ``error``.
+
+        Override it if that score exists only with some options, for example if the true sources may not be known.
+        """
+        return self.error
+
     def needed_extra(self) -> Extra | None:
         """Return the optional library that the scenario needs with these options. The default is None."""
         return None
@@ -110,3 +117,11 @@ class Scenario(Options, ABC):
     @abstractmethod
     def draw(self, rng: np.random.Generator) -> Instance:
         """Draw one instance. All randomness must come from ``rng``."""
+
+    def draw_scene(self, rng: np.random.Generator, number: int) -> Instance:
+        """Draw the scene of this number of a study, from 0. The default is ``draw(rng)``, whatever the number.
+
+        Override it if scenes are enumerated rather than drawn, such as the segments of a recording. ``rng`` is that of
+        the scene's seed, and all randomness must come from it.
+        """
+        return self.draw(rng)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from .claims import Claim, Compare, Names, claim_of
-from .manifest import load_methods, load_scenarios, load_study
+from .manifest import load_methods, load_scenarios, load_study, scene_numbers
 from .plan import Study
 from .records import Method, PluginSpec, Point, RunRecord, RunSpec, swept_column
 from .resolve import ErrorCollector, Resolved, Resolver
@@ -25,5 +25,6 @@ __all__ = [
     "load_methods",
     "load_scenarios",
     "load_study",
+    "scene_numbers",
     "swept_column",
 ]

@@ -65,7 +65,7 @@ def diagnose(
     K = len(theta)
     quality = fit(theta, manifold, lower, upper, seen, T) if 0 < K < manifold.elements else None
     doubted = quality is None or not quality.p_value >= LEVEL
-    if doubted and seen.significant:
+    if doubted and seen.significant and manifold.elements > (K or sources):
         found += _misfit(seen, manifold, frame, lower, upper, K or sources, quality)
     found += _counts(seen, K or sources, T)
     if K:
@@ -111,10 +111,10 @@ def _misfit(
 ) -> list[str]:
     """Say how badly the model fits, and whether another reading of the data or another estimate fits far better."""
     explained = quality.explained if quality else 0.0
-    best = search_share(seen, manifold, lower, upper, K) if explained < NEARLY_ALL and K < manifold.elements else None
-    other = None
-    if max(explained, best or 0.0) < NEARLY_ALL and K < manifold.elements:
-        other = better_alternative(seen, manifold, frame, lower, upper, K, max(explained, best or 0.0))
+    best = search_share(seen, manifold, lower, upper, K) if explained < NEARLY_ALL else None
+    known, other = max(explained, best or 0.0), None
+    if known < NEARLY_ALL:
+        other = better_alternative(seen, manifold, frame, lower, upper, K, known)
     found = [other] if other else []
     if quality and not math.isnan(quality.p_value):
         chance = f"p = {quality.p_value:.1g}" if quality.p_value > 0 else "p < 1e-300"

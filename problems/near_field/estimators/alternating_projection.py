@@ -57,7 +57,7 @@ class AlternatingProjection(Formulation):
         only if ``sources`` is "estimate".
     """
 
-    accepts: ClassVar[type[Instance]] = ArrayInstance
+    accepts: ClassVar[type[Instance]] = ArrayInstance  # type: ignore[type-abstract]  # any subclass
 
     objective: Objective = "wsf"
     sweeps: Annotated[int, Ge(0)] = 10

@@ -54,7 +54,7 @@ class Certified(Formulation):
         only if ``sources`` is "estimate".
     """
 
-    accepts: ClassVar[type[Instance]] = ArrayInstance
+    accepts: ClassVar[type[Instance]] = ArrayInstance  # type: ignore[type-abstract]  # any subclass
     needs_solver: ClassVar[bool] = False
 
     wavefront: Wavefront | None = None

@@ -53,7 +53,7 @@ class GridRefine(Formulation):
         likelihood, which also works with fewer snapshots than sources.
     """
 
-    accepts: ClassVar[type[Instance]] = ArrayInstance
+    accepts: ClassVar[type[Instance]] = ArrayInstance  # type: ignore[type-abstract]  # any subclass
     needs_solver: ClassVar[bool] = False
 
     density: Annotated[float, Gt(0.0), Le(100.0)] = 1.5

@@ -98,7 +98,7 @@ class Music(Formulation):
         only if ``sources`` is "estimate".
     """
 
-    accepts: ClassVar[type[Instance]] = ArrayInstance
+    accepts: ClassVar[type[Instance]] = ArrayInstance  # type: ignore[type-abstract]  # any subclass
     needs_solver: ClassVar[bool] = False
 
     grid: Grid = Grid()

@@ -42,7 +42,7 @@ class Neef(Formulation):
     refine: whether to refine the solver's minimizer by a local search; its evaluations do not count towards the budget.
     """
 
-    accepts: ClassVar[type[Instance]] = ArrayInstance
+    accepts: ClassVar[type[Instance]] = ArrayInstance  # type: ignore[type-abstract]  # any subclass
 
     objective: Objective = "esf"
     wavefront: Wavefront | None = None

@@ -56,7 +56,7 @@ class Nemo(Formulation):
         by no more than 1e-9 of it. With ``refine``, each position is refined. A single source is not relaxed.
     """
 
-    accepts: ClassVar[type[Instance]] = ArrayInstance
+    accepts: ClassVar[type[Instance]] = ArrayInstance  # type: ignore[type-abstract]  # any subclass
 
     alpha: Annotated[float, Ge(0.0), Lt(math.inf)] = 1000.0
     alpha_relative: Annotated[float, Ge(0.0), Lt(math.inf)] | None = None

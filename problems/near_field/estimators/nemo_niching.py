@@ -42,7 +42,7 @@ class NemoNiching(Formulation):
         only if ``sources`` is "estimate".
     """
 
-    accepts: ClassVar[type[Instance]] = ArrayInstance
+    accepts: ClassVar[type[Instance]] = ArrayInstance  # type: ignore[type-abstract]  # any subclass
 
     refine: bool = False
     wavefront: Wavefront | None = None

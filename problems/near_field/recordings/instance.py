@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import final
 
 import numpy as np
@@ -10,7 +12,8 @@ from jaxtyping import Complex, Float
 from numpy import ndarray
 
 from ..array_instance import ArrayInstance
-from ..geometry import Frame
+from ..floor import local_fit
+from ..geometry import Frame, cartesian
 from ..instance import position_errors, position_scores, positions_of
 from ..wavefronts import Manifold
 
@@ -33,6 +36,7 @@ class RecordedInstance(ArrayInstance):
     gains: known complex gains of the elements, shape (M,); None: not known.
     noise_covariance: known covariance of the noise in the units of Y, shape (M, M); None: not known, or white.
     notes: sentences that say how the data were read.
+    noiseless: measured responses of the sources, shape (M, K); None: not known.
     """
 
     Y: Complex[ndarray, "m t"]
@@ -46,6 +50,7 @@ class RecordedInstance(ArrayInstance):
     gains: Complex[ndarray, " m"] | None = None
     noise_covariance: Complex[ndarray, "m m"] | None = None
     notes: tuple[str, ...] = ()
+    noiseless: Complex[ndarray, "m k"] | None = None
 
     @property
     def sources(self) -> int:
@@ -62,8 +67,15 @@ class RecordedInstance(ArrayInstance):
         misfit_limit: smallest misfit that any K̂ response vectors could have, those of the signal subspace.
         sources_found: number K̂ of estimates.
 
-        The errors are those of a simulated scene; see ``NearFieldInstance.score``. There are no bounds, as the powers
-        of the sources are not known. Raises ValueError if the estimate has the wrong shape.
+        Where the truth is known, there are also the errors of a simulated scene (see ``NearFieldInstance.score``) and
+
+        range_bias_m: mean of the differences between estimated and true ranges, negative if estimates are too near.
+        cross_range_m: root mean square distance from the estimates to the lines through the origin and the sources.
+        floor_m: root mean square error of a least-squares fit to measured responses without noise, started at the true
+            sources; what the model cannot explain leaves this error at any signal-to-noise ratio.
+
+        There are no bounds, as they assume a model that measured data do not follow. Raises ValueError if the estimate
+        has the wrong shape.
         """
         estimate = np.asarray(estimate, dtype=np.float64)
         d = self.manifold.dimension
@@ -75,7 +87,10 @@ class RecordedInstance(ArrayInstance):
             "misfit_limit": self._limit(found),
             "sources_found": float(found),
         }
-        return scores if self.theta is None else position_scores(self.theta, estimate, self.gospa_cutoff_m) | scores
+        if self.theta is None:
+            return scores
+        scores |= position_scores(self.theta, estimate, self.gospa_cutoff_m)
+        return scores | _along_and_across(self.theta, estimate) | self._floor
 
     def misfit(self, estimate: Float[ndarray, "found d"]) -> float:
         """Return ‖(I − P_A)Y‖²_F/‖Y‖²_F, where P_A projects onto the response vectors of an estimate (K̂, d)."""
@@ -95,6 +110,28 @@ class RecordedInstance(ArrayInstance):
     def positions(self, estimate: Float[ndarray, "q d"]) -> tuple[Float[ndarray, "k 3"], Float[ndarray, "k 3"]] | None:
         return None if self.theta is None else positions_of(self.theta, estimate)
 
+    @cached_property
+    def _floor(self) -> dict[str, float]:
+        if self.noiseless is None or self.theta is None or self.manifold.wavefront == "planar":
+            return {}
+        fitted = local_fit(self.noiseless, self.manifold, self.theta, self.lower, self.upper)
+        errors = np.sum((cartesian(fitted) - cartesian(self.theta)) ** 2, axis=1)
+        return {"floor_m": math.sqrt(np.mean(errors))}
+
     def _limit(self, found: int) -> float:
         energies = np.linalg.svd(self.Y, compute_uv=False) ** 2
         return float(energies[found:].sum() / energies.sum())
+
+
+def _along_and_across(theta: Float[ndarray, "k d"], estimate: Float[ndarray, "found d"]) -> dict[str, float]:
+    """Return the errors along the lines of sight, with their sign, and perpendicular to them [m]."""
+    if not len(estimate) or not np.isfinite(estimate).all():
+        return {"range_bias_m": math.nan, "cross_range_m": math.nan}
+    truth, matched = positions_of(theta, estimate)
+    matched = matched[: len(truth)]
+    paired = np.isfinite(matched).all(axis=1)
+    truth, matched = truth[paired], matched[paired]
+    r = np.linalg.norm(truth, axis=1)
+    across = np.linalg.norm(np.cross(truth / r[:, None], matched), axis=1)
+    bias = np.mean(np.linalg.norm(matched, axis=1) - r)
+    return {"range_bias_m": float(bias), "cross_range_m": math.sqrt(np.mean(across**2))}
