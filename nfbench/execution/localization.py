@@ -41,6 +41,8 @@ __all__ = ["Procedure", "localize", "procedure", "recommended"]
 
 EVALUATIONS = 20_000  # of a solver whose budget is not given
 SCENARIO = "recorded"
+OF_ARRAY = ("broadside", "up", "unit", "origin")  # options of an array that is given by its positions
+FILES_KNOWN = {"gains_file": "known_gains", "noise_file": "known_noise"}  # what a formulation knows from files
 
 
 @dataclass(frozen=True)
@@ -90,8 +92,7 @@ def localize(
             options["sources"] = 1
         scenario = registry.make("scenario", SCENARIO, {"data": path, "array": table, **options})
         how = procedure(method, plugins=plugins) if isinstance(method, str) else method
-        if estimated:
-            how = _estimating(how)
+        how = _knowing(_estimating(how) if estimated else how, options)
         scenario.warm_up()
         instance = scenario.draw(np.random.default_rng(seed))
     return _described(scenario, instance, how, seed)
@@ -213,9 +214,24 @@ def _with_causes(message: str, instance: Instance, warnings: Iterable[str]) -> N
 
 def _estimating(how: Procedure) -> Procedure:
     """The same method, which estimates the number of sources."""
-    if "sources" not in {field.name for field in fields(how.formulation)}:
+    if not _has(how.formulation, "sources"):
         raise NfbenchError(f"sources: {type(how.formulation).__name__} cannot estimate the number of sources; give it")
-    return replace(how, formulation=replace(how.formulation, sources="estimate"))
+    return replace(how, formulation=_with(how.formulation, sources="estimate"))
+
+
+def _knowing(how: Procedure, options: Mapping[str, Any]) -> Procedure:
+    """The same method, which knows what the files of the scenario say about the array and the noise."""
+    known = {name: True for file, name in FILES_KNOWN.items() if options.get(file) and _has(how.formulation, name)}
+    return replace(how, formulation=_with(how.formulation, **known))
+
+
+def _has(formulation: Formulation, option: str) -> bool:
+    return option in {field.name for field in fields(formulation)}
+
+
+def _with(formulation: Formulation, **options: Any) -> Formulation:
+    """A formulation with other values of some options."""
+    return replace(formulation, **options)
 
 
 @contextmanager
@@ -235,7 +251,7 @@ def _stored(data: ndarray | str | Path) -> Iterator[str]:
 
 def _array_table(array: ndarray | str | Path | Mapping[str, Any], options: dict[str, Any]) -> dict[str, Any]:
     """The table of an array; the options that belong to it are moved into it."""
-    own = {name: options.pop(name) for name in ("broadside", "up", "unit", "origin") if name in options}
+    own: dict[str, Any] = {name: options.pop(name) for name in OF_ARRAY if name in options}
     if isinstance(array, Mapping):
         return {**array, **own}
     if isinstance(array, str | Path):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
@@ -28,6 +29,7 @@ class ArrayInstance(Instance, ABC):
     lower: lower bounds of one source [rad, m], shape (d,).
     upper: upper bounds of one source [rad, m], shape (d,).
     frame: coordinates in which the array and the estimates are described.
+    notes: sentences that say how the data were read.
     gains: known complex gains of the elements, shape (M,); None: not known, or all 1.
     noise_covariance: known covariance of the noise, shape (M, M), in the units of Y; None: not known, or white.
     """
@@ -37,6 +39,7 @@ class ArrayInstance(Instance, ABC):
     lower: Float[ndarray, " d"]
     upper: Float[ndarray, " d"]
     frame: Frame
+    notes: tuple[str, ...] = ()
     gains: Complex[ndarray, " m"] | None = None
     noise_covariance: Complex[ndarray, "m m"] | None = None
 
@@ -52,7 +55,8 @@ class ArrayInstance(Instance, ABC):
         """
         theta = np.asarray(estimate, dtype=np.float64).reshape(-1, self.manifold.dimension)
         box = self.lower, self.upper
-        return describe_sources(self.Y, self.manifold, self.frame, *box, self.sources, theta, self.truth())
+        found = describe_sources(self.Y, self.manifold, self.frame, *box, self.sources, theta, self.truth())
+        return replace(found, notes=self.notes)
 
 
 class ArrayScenario(Protocol):

@@ -8,17 +8,18 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from ..geometry import cartesian, nearest_distances
+from ..geometry import ambiguity, cartesian, nearest_distances
 from ..search import grid_size, resolution, resolution_grid, search_locally
 from ..wavefronts import Manifold
 
-__all__ = ["alias_warnings", "coincidence_warnings", "edge_warnings"]
+__all__ = ["alias_warnings", "coincidence_warnings", "edge_warnings", "side_warnings"]
 
 ALIKE = 0.9  # squared correlation of two responses from which they are hardly distinguished
 LIKELY = 0.5  # squared correlation of a grid point from which the peak next to it is looked at
 LARGEST = 2 * 10**6  # grid points that are compared with the estimates
 CHUNK = 2**22  # numbers of responses that are computed at once
 SAME = 0.999  # squared correlation of the responses of two estimates from which they count as one place
+FLAT = 0.02  # deviation from a line or plane [wavelengths, root mean square] that phases do not show
 FULL_TURN = 2 * math.pi - 1e-9  # a box this wide has no edge in azimuth
 CANDIDATES = 8  # grid points from which a peak is searched
 NAMES = ("azimuth", "elevation", "range")
@@ -67,6 +68,22 @@ def coincidence_warnings(theta: Float[ndarray, "k d"], manifold: Manifold) -> li
     return [
         f"sources {i} and {j} are at nearly the same place: the data probably contain fewer sources; set sources to "
         f"{len(theta) - 1} (--sources {len(theta) - 1})"
+    ]
+
+
+def side_warnings(manifold: Manifold, lower: Float[ndarray, " d"], upper: Float[ndarray, " d"]) -> list[str]:
+    """Return a sentence if the box contains both sides of a line or plane of elements, which are the same to them."""
+    found = ambiguity(manifold.positions, lower, upper, FLAT * manifold.wavelength_m)
+    if found is None:
+        return []
+    shape, pair = found
+    first, second = (", ".join(f"{angle:.1f}°" for angle in row) for row in np.degrees(pair) + 0.0)
+    names = "azimuths" if pair.shape[1] == 1 else "azimuths and elevations"
+    where = "in a plane" if shape == "plane" else "on a line"
+    return [
+        f"the box contains both sides of the array: its elements lie {where} and cannot distinguish, for example, the "
+        f"{names} {first} and {second}; make the box smaller (--azimuth-deg, --elevation-deg), or check broadside and "
+        f"up of the array (--broadside, --up)"
     ]
 
 

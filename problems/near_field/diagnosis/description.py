@@ -7,10 +7,11 @@ import math
 import numpy as np
 from jaxtyping import Complex, Float
 from numpy import ndarray
+from scipy.linalg import solve_triangular
 
 from nfbench import Localization, Picture
 
-from ..bounds import stochastic_bound
+from ..bounds import information_root
 from ..geometry import Frame, cartesian, direction_derivatives, directions
 from ..wavefronts import Manifold
 from .diagnose import Diagnosis, diagnose
@@ -18,6 +19,7 @@ from .goodness import misfit, source_covariance
 
 __all__ = ["describe_sources"]
 
+CERTAIN = 100  # factor by which a pivot of the information must exceed its rounding error
 BOX_POINTS = 25  # along each edge of the box in a picture
 
 
@@ -85,13 +87,30 @@ def _uncertainty(
     seen = diagnosis.spectrum
     if seen is None or not seen.noise > 0 or not 0 < K < manifold.elements:
         return unknown
-    P = source_covariance(manifold.response(theta), seen, seen.noise)
-    snr = np.diag(P).real / seen.noise
-    snr = np.where(snr > 0, snr, math.nan)
-    if not np.isfinite(snr).all():
-        return snr, unknown[1]
-    C = stochastic_bound(manifold, theta, snr, snapshots)
-    return snr, np.where(np.isfinite(C), C, math.nan)
+    A = manifold.response(theta)
+    P = source_covariance(A, seen, seen.noise) / seen.noise
+    powers = np.diag(P).real
+    snr = np.where(powers > 0, powers, math.nan) * np.mean(np.abs(A) ** 2, axis=1)
+    return snr, _bound(manifold, theta, P, snapshots)
+
+
+def _bound(
+    manifold: Manifold, theta: Float[ndarray, "k d"], P: Complex[ndarray, "k k"], snapshots: int
+) -> Float[ndarray, "kd kd"]:
+    """Return the stochastic bound for signals with the covariance P, relative to the noise; NaN if it is not finite.
+
+    X = PAᴴR⁻¹AP with R = APAᴴ + I, as in ``bounds.stochastic_bound``, but for signals that may be correlated.
+    """
+    values, vectors = np.linalg.eigh(P)
+    B = vectors * np.sqrt(np.maximum(values, 0.0))
+    _, s, Vh = np.linalg.svd(manifold.response(theta).T @ B, full_matrices=False)
+    J, rounding = information_root(manifold, theta, B @ Vh.conj().T * (s / np.sqrt(1 + s * s)))
+    R, n = np.linalg.qr(J).R, theta.size
+    if len(R) < n or not (np.abs(np.diag(R)) > CERTAIN * rounding).all():
+        return np.full((n, n), math.nan)
+    inverse = solve_triangular(R, np.eye(n))
+    C: ndarray = inverse @ inverse.T / (2 * snapshots)
+    return C
 
 
 def _inside(theta: Float[ndarray, "k d"], lower: Float[ndarray, " d"], upper: Float[ndarray, " d"]) -> ndarray:

@@ -8,10 +8,10 @@ from typing import NamedTuple
 from jaxtyping import Complex, Float
 from numpy import ndarray
 
-from ..geometry import Frame, ambiguity
+from ..geometry import Frame
 from ..wavefronts import Manifold
 from .alternatives import better_alternative, search_share
-from .box_checks import alias_warnings, coincidence_warnings, edge_warnings
+from .box_checks import alias_warnings, coincidence_warnings, edge_warnings, side_warnings
 from .data_checks import data_warnings
 from .eigenvalues import Spectrum, spectrum
 from .goodness import Fit, fit
@@ -20,7 +20,6 @@ __all__ = ["Diagnosis", "diagnose"]
 
 LEVEL = 1e-3  # p-value below which the model does not fit
 NEARLY_ALL = 0.9  # share of the signal subspace from which no other reading of the data is searched
-FLAT = 0.02  # deviation from a line or plane [wavelengths, root mean square] that phases do not show
 MISSED = 0.8  # factor by which a search must lower the unexplained share to show that the estimate is not the best
 
 
@@ -64,19 +63,28 @@ def diagnose(
     seen, T = spectrum(Y), Y.shape[1]
     K = len(theta)
     quality = fit(theta, manifold, lower, upper, seen, T) if 0 < K < manifold.elements else None
-    doubted = quality is None or not quality.p_value >= LEVEL
-    if doubted and seen.significant and manifold.elements > (K or sources):
-        found += _misfit(seen, manifold, frame, lower, upper, K or sources, quality)
-    found += _counts(seen, K or sources, T)
-    if K:
-        found += coincidence_warnings(theta, manifold)
-        found += edge_warnings(theta, lower, upper)
-    if K and ambiguity(manifold.positions, lower, upper, FLAT * manifold.wavelength_m) is None:
-        found += alias_warnings(theta, manifold, lower, upper)
+    other = None
+    if (quality is None or not quality.p_value >= LEVEL) and seen.significant and manifold.elements > (K or sources):
+        misfit, other = _misfit(seen, manifold, frame, lower, upper, K or sources, quality)
+        found += misfit
+    if other is None:  # otherwise the following would be its symptoms
+        found += _counts(seen, K or sources)
+        found += _places(theta, manifold, lower, upper)
     return Diagnosis(seen, quality, tuple(found))
 
 
-def _counts(seen: Spectrum, K: int, T: int) -> list[str]:
+def _places(
+    theta: Float[ndarray, "k d"], manifold: Manifold, lower: Float[ndarray, " d"], upper: Float[ndarray, " d"]
+) -> list[str]:
+    """Say what is questionable about the positions of the estimates and the box."""
+    both_sides = side_warnings(manifold, lower, upper)
+    if not len(theta):
+        return both_sides
+    found = coincidence_warnings(theta, manifold) + edge_warnings(theta, lower, upper) + both_sides
+    return found if both_sides else found + alias_warnings(theta, manifold, lower, upper)
+
+
+def _counts(seen: Spectrum, K: int) -> list[str]:
     """Compare the number of significant eigenvalues with the number of sources."""
     n = seen.significant
     if n == 0:
@@ -108,8 +116,11 @@ def _misfit(
     upper: Float[ndarray, " d"],
     K: int,
     quality: Fit | None,
-) -> list[str]:
-    """Say how badly the model fits, and whether another reading of the data or another estimate fits far better."""
+) -> tuple[list[str], str | None]:
+    """Say how badly the model fits, and whether another reading of the data or another estimate fits far better.
+
+    The second result is the sentence about another reading; None if there is none.
+    """
     explained = quality.explained if quality else 0.0
     best = search_share(seen, manifold, lower, upper, K) if explained < NEARLY_ALL else None
     known, other = max(explained, best or 0.0), None
@@ -130,4 +141,4 @@ def _misfit(
             f"the estimate {100 * explained:.0f} %; use the method grid-refine (--method grid-refine), or more "
             f"evaluations"
         )
-    return found
+    return found, other
