@@ -15,7 +15,7 @@ from scipy.optimize import linear_sum_assignment
 from .array_instance import ArrayInstance
 from .bounds import deterministic_bound, position_bounds, stochastic_bound
 from .floor import local_fit, noise_free_columns
-from .geometry import cartesian
+from .geometry import Frame, cartesian
 from .wavefronts import Manifold
 
 __all__ = ["NearFieldInstance", "position_errors", "position_scores", "positions_of"]
@@ -38,6 +38,7 @@ class NearFieldInstance(ArrayInstance):
     snr: signal-to-noise power ratio per source at each antenna, shape (K,).
     rician_k: Rician factor κ; inf: pure line of sight.
     gospa_cutoff_m: cutoff distance c [m] of the score ``gospa_m``.
+    frame: coordinates in which the array and the estimates are described.
     """
 
     Y: Complex[ndarray, "m t"]
@@ -50,6 +51,7 @@ class NearFieldInstance(ArrayInstance):
     snr: Float[ndarray, " k"]
     rician_k: float
     gospa_cutoff_m: float = 1.0
+    frame: Frame = Frame(np.eye(3), np.zeros(3))  # noqa: RUF009  # frozen
 
     @property
     def sources(self) -> int:
