@@ -17,6 +17,7 @@ from nfbench import Instance
 from .bounds import deterministic_bound, position_bounds, stochastic_bound
 from .floor import local_fit, noise_free_columns
 from .geometry import cartesian
+from .parameters import parameter_bounds, parameter_scores
 from .wavefronts import Manifold
 
 __all__ = ["NearFieldInstance"]
@@ -74,7 +75,8 @@ class NearFieldInstance(Instance):
         sources_found: number K̂ of estimates.
         error_1_m, error_2_m, …: errors of the true sources in their order; NaN for a source without an estimate.
 
-        The columns of ``bounds`` are included; they do not depend on the estimate.
+        The columns of ``parameter_scores`` are the errors in azimuth, elevation and range of the same pairs. The
+        columns of ``bounds`` are included; they do not depend on the estimate.
         """
         estimate = np.asarray(estimate, dtype=np.float64)
         d = self.theta.shape[1]
@@ -83,11 +85,11 @@ class NearFieldInstance(Instance):
         with np.errstate(over="ignore", invalid="ignore"):
             squares = np.sum((cartesian(self.theta)[:, None] - cartesian(estimate)) ** 2, axis=-1)
         K, found = squares.shape
-        errors = np.full(K, math.nan)
+        errors, assigned = np.full(K, math.nan), np.full_like(self.theta, math.nan)
         scores = dict.fromkeys(("rmse_m", "gospa_m", "sources", "sources_found"), math.nan)
         if np.isfinite(squares).all():  # also false if a squared distance overflows
             true, matched = linear_sum_assignment(squares)
-            errors[true] = np.sqrt(squares[true, matched])
+            errors[true], assigned[true] = np.sqrt(squares[true, matched]), estimate[matched]
             rmse = math.sqrt(np.mean(squares[true, matched])) if found else math.nan
             scores = {
                 "rmse_m": rmse,
@@ -96,7 +98,7 @@ class NearFieldInstance(Instance):
                 "sources_found": found,
             }
         scores |= {f"error_{k}_m": float(error) for k, error in enumerate(errors, start=1)}
-        return scores | self.bounds()
+        return scores | parameter_scores(self.theta, assigned) | self.bounds()
 
     def errors(self, measure: str, estimates: Float[ndarray, "r found d"]) -> Float[ndarray, " r"]:
         d = self.theta.shape[1]
@@ -107,16 +109,14 @@ class NearFieldInstance(Instance):
             squares = np.sum(differences**2, axis=-1)  # (r, K, found)
         return np.sqrt(_assigned(squares) / min(squares.shape[1:]))
 
-    def positions(self, estimate: Float[ndarray, "q d"]) -> tuple[Float[ndarray, "k 3"], Float[ndarray, "k 3"]]:
-        """Return the true positions and, row by row, the estimates assigned to them as in ``score`` [m]."""
-        truth, found = (
-            cartesian(self.theta),
-            cartesian(np.asarray(estimate, dtype=np.float64).reshape(-1, self.theta.shape[1])),
-        )
+    def positions(self, estimate: Float[ndarray, "q d"]) -> tuple[Float[ndarray, "k 3"], Float[ndarray, "_ 3"]]:
+        """Return the true positions, and the estimates assigned to them as in ``score`` before the others [m]."""
+        truth = cartesian(self.theta)
+        found = cartesian(np.asarray(estimate, dtype=np.float64).reshape(-1, self.theta.shape[1]))
         source, guess = linear_sum_assignment(np.sum((truth[:, None] - found) ** 2, axis=-1))
         matched = np.full_like(truth, math.nan)
         matched[source] = found[guess]
-        return truth, matched
+        return truth, np.vstack([matched, np.delete(found, guess, axis=0)])
 
     def bounds(self) -> dict[str, float]:
         """Return reference values [m] for the errors of this scene, by column name.
@@ -128,6 +128,8 @@ class NearFieldInstance(Instance):
         crb_m: root mean square of the stochastic bounds over the sources.
         crb_deterministic_m: root mean square of the deterministic bounds, for the symbols that were sent.
         crb_1_m, crb_2_m, …: stochastic bounds of the individual sources.
+
+        The columns of ``parameter_bounds`` are the stochastic bounds of the azimuths, elevations and ranges.
 
         Under Rician fading these bounds do not hold; the only column is then:
 
@@ -150,6 +152,7 @@ class NearFieldInstance(Instance):
             "crb_m": _root_mean_square(per_source),
             "crb_deterministic_m": _root_mean_square(position_bounds(deterministic, self.theta)),
             **{f"crb_{k}_m": float(bound) for k, bound in enumerate(per_source, start=1)},
+            **parameter_bounds(stochastic, self.theta),
         }
 
 
