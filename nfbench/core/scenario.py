@@ -39,10 +39,12 @@ class Instance(ABC):
         return np.array([self.score(estimate)[measure] for estimate in estimates], dtype=np.float64)
 
     def positions(self, estimate: ndarray) -> tuple[ndarray, ndarray] | None:
-        """Return the true and the estimated positions of the sources for figures: two arrays (K, 3), Cartesian [m].
+        """Return the true and the estimated positions of the sources for ``positions.csv`` and figures, Cartesian [m].
 
-        Row k of the second array is the estimate assigned to source k, or NaN if no estimate is assigned to it. The
-        default is None, which means that there are no positions to show.
+        These are two arrays, of shape (K, 3) and with at least K rows. Row k of the second one is the estimate assigned
+        to source k, or NaN if no estimate is assigned to it. Rows beyond K are the estimates that are assigned to no
+        source. The default is None, which means that there are no positions to show. It is called for estimates whose
+        ``score`` is valid.
         """
         return None
 
