@@ -12,12 +12,11 @@ from numpy import ndarray
 
 from nfbench import Formulation, Ge, Gt, Instance, Le, Minimize, Solution
 
+from ..array_instance import ArrayInstance, ArrayScenario
 from ..bands import Band
 from ..enumeration import Criterion, Sources, how_many
-from ..instance import NearFieldInstance
 from ..objectives.factors import Objective, factor, noise_weights
 from ..objectives.subspace_fitting import SubspaceFit
-from ..scenario import NearField
 from ..search import (
     BandFit,
     covariance_of_bands,
@@ -67,7 +66,7 @@ class GridRefine(Formulation):
         likelihood, which also works with fewer snapshots than sources.
     """
 
-    accepts: ClassVar[type[Instance]] = NearFieldInstance
+    accepts: ClassVar[type[Instance]] = ArrayInstance  # type: ignore[type-abstract]  # any subclass
     needs_solver: ClassVar[bool] = False
 
     density: Annotated[float, Gt(0.0), Le(100.0)] = 1.5
@@ -80,7 +79,7 @@ class GridRefine(Formulation):
     def warm_up(self) -> None:
         warm_up_search()
 
-    def warnings(self, scenario: NearField) -> list[str]:
+    def warnings(self, scenario: ArrayScenario) -> list[str]:
         counts = grid_size(scenario.manifold(), *scenario.box(), self.density)
         M, K, points = scenario.array.count, scenario.sources, math.prod(counts)
         passes = K + min(self.sweeps, 2)  # over the grid: one per source, and one per sweep
@@ -93,7 +92,7 @@ class GridRefine(Formulation):
         text = f"density: the default, {self.density:g}, gives a grid of about {size}"
         return [f"{text}, which takes about {seconds:,.0f} s per run with {M} elements and {K} sources; reduce it"]
 
-    def solve(self, instance: NearFieldInstance, minimize: Minimize) -> Solution:
+    def solve(self, instance: ArrayInstance, minimize: Minimize) -> Solution:
         """Return the sources (K, d) [rad, m] with the columns of ``standard_errors``.
 
         Raises Incompatible if there are fewer snapshots than sources, except with the objective "dml".
@@ -112,7 +111,7 @@ class GridRefine(Formulation):
         theta, box = found.x.reshape(K, -1), (grid.lower, grid.upper)
         return Solution(theta, standard_errors(theta, grid.manifold, *box, F, noise, T, spread))
 
-    def _solve_bands(self, bands: list[Band], instance: NearFieldInstance, K: int) -> Solution:
+    def _solve_bands(self, bands: list[Band], instance: ArrayInstance, K: int) -> Solution:
         """Return the minimizer of the sum of the misfits of several frequency bins."""
         found = [_factors(band.Y, K, self.objective) for band in bands]
         weights = [1.0] * len(bands) if self.objective == "esf" else noise_weights([band.Y for band in bands], K)
