@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Complex, Float
+from jaxtyping import Bool, Complex, Float, Int
 from numpy import ndarray
 
 from ..geometry import cartesian
@@ -28,6 +28,7 @@ ENOUGH = 1e-15  # decrease of J, relative to J, at which the search ends
 LOST = 1e-13  # predicted decrease below which J may rise by its rounding errors alone
 ROUNDING = 1e-30  # decrease of J, relative to ‖F‖², below which J is only the rounding of the residuals
 FLAT = 1e-14  # least curvature, relative to the greatest
+CANDIDATES = 2000  # grid points among which lobes are distinguished
 LOBES = 6  # from which a source is searched
 PROMISING = 0.9  # gain of a lobe on the finer grid, relative to the best, from which it is searched
 FINER = 7  # points of the finer grid along each axis
@@ -187,7 +188,7 @@ def search_bands_greedily(
         """Return where one more source lowers the misfit most, given the other sources."""
         misfit = SumOfFits(ConditionalFit(F, manifold, lower, upper, others) for F, manifold in fits)
         J = misfit.evaluate(points)
-        near = [_around(array, point, density, lower, upper) for point in _lobes(array, points[np.argsort(J)])]
+        near = [_around(array, point, density, lower, upper) for point in _lobes(array, points[_least(J, CANDIDATES)])]
         values = [misfit.evaluate(each) for each in near]
         gains = J.max() - np.array([each.min() for each in values])
         starts = [each[np.argmin(value)] for each, value in zip(near, values, strict=True)]
@@ -217,6 +218,13 @@ def search_bands_greedily(
         if not best.value < before * (1 - 1e-9):
             break
     return best
+
+
+def _least(J: Float[ndarray, " p"], count: int) -> Int[ndarray, " count"]:
+    """Return the indices of the smallest values in ascending order."""
+    chosen = np.argpartition(J, count)[:count] if len(J) > count else np.arange(len(J))
+    ascending: ndarray = chosen[np.argsort(J[chosen], kind="stable")]
+    return ascending
 
 
 def _lobes(array: Manifold, points: Float[ndarray, "p d"]) -> list[Float[ndarray, " d"]]:
