@@ -96,7 +96,7 @@ class _Attempt:
         if solver:
             solver.warm_up()
         formulation.warm_up()
-        instance = scenario.draw(np.random.default_rng(self.spec.instance_seed))
+        instance = scenario.draw_scene(np.random.default_rng(self.spec.instance_seed), self.spec.scene)
 
         stopping = Stopping(budget.target if budget else None, scenario, formulation, instance)
 
@@ -127,8 +127,9 @@ class _Attempt:
         except ValueError as error:
             raise _Ended(Status.INVALID, f"estimate: {error}") from error
         self.scores |= plain_columns(columns, self.scores)
-        if estimate.size and math.isnan(self.scores.get(scenario.error, math.nan)):
-            raise _Ended(Status.INVALID, f"{scenario.error} of the estimate is NaN")
+        measure = scenario.ranked_by()
+        if estimate.size and math.isnan(self.scores.get(measure, math.nan)):
+            raise _Ended(Status.INVALID, f"{measure} of the estimate is NaN")
         self.positions = plain_positions(instance.positions(estimate))
         return Status.OK, "; ".join(minimum.message for minimum in self.minima if minimum.message)
 
@@ -181,7 +182,7 @@ class _Proof:
     def run(self) -> tuple[Status, str]:
         scenario = self.registry.make("scenario", *_available(self.spec.point.scenario))
         formulation = self.registry.make("formulation", *_available(self.spec.method.formulation))
-        instance = scenario.draw(np.random.default_rng(self.spec.instance_seed))
+        instance = scenario.draw_scene(np.random.default_rng(self.spec.instance_seed), self.spec.scene)
         wall, cpu = time.perf_counter(), time.process_time()
         try:
             found = formulation.reference(instance)

@@ -100,6 +100,7 @@ class RunSpec:
     solver_seed: seed of the solver. It depends on everything that determines the result except plugin versions.
     asks: what is computed: the estimate of the method, or the proven optimum of the first problem of its formulation.
     An optimum is no run of the study, but it is computed like one; its identity has no solver and no budget.
+    scene: number of the scene, from 0.
     """
 
     run_id: str
@@ -110,6 +111,7 @@ class RunSpec:
     instance_seed: int
     solver_seed: int
     asks: Literal["estimate", "reference"] = "estimate"
+    scene: int = 0
 
 
 @dataclass(frozen=True)
