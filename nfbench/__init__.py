@@ -99,8 +99,10 @@ __all__ = [
     "compiled",
     "load_kernels",
     "load_study",
+    "localize",
     "minimize",
     "nested_solver",
+    "procedure",
     "run",
     "run_part",
     "solver",
@@ -109,7 +111,7 @@ __all__ = [
 
 if TYPE_CHECKING:
     from .core.jit import compiled, load_kernels
-    from .execution import run
+    from .execution import localize, procedure, run
     from .plugins import NestedSolver, combined_info, nested_solver, run_part, solver_of
     from .results import Results
     from .study import Study, load_study
@@ -122,7 +124,9 @@ _PACKAGES = {
     "compiled": "core.jit",
     "load_kernels": "core.jit",
     "load_study": "study",
+    "localize": "execution",
     "nested_solver": "plugins",
+    "procedure": "execution",
     "run": "execution",
     "run_part": "plugins",
     "solver_of": "plugins",

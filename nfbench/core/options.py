@@ -18,6 +18,7 @@ import difflib
 import functools
 import inspect
 import math
+import os
 import reprlib
 import typing
 from collections.abc import Iterable, Iterator, Mapping
@@ -50,6 +51,7 @@ T = TypeVar("T", bound="Options")
 _known_adapters: dict[type, dict[str, TypeAdapter[Any]]] = {}
 _folder: contextvars.ContextVar[Path | None] = contextvars.ContextVar("folder", default=None)
 
+DATA_FOLDER = "NFBENCH_DATA"  # environment variable with a folder in which files of options are looked for
 DEPTH = 32  # lists and tables nested deeper than this are refused
 SUGGESTIONS = 50  # unknown options for which the nearest known name is looked up, which takes 0.2 ms each
 
@@ -58,7 +60,9 @@ SUGGESTIONS = 50  # unknown options for which the nearest known name is looked u
 class Options:
     """Base class of everything that has options. Subclass it as a frozen dataclass.
 
-    Override ``validate`` to check rules that involve more than one field.
+    Override ``validate`` to check rules that involve more than one field. The place of a file should not be part of the
+    identity of a run: declare it as ``path: FilePath = field(metadata={"identifies": False})``, and set another option
+    to a hash of the content in ``validate``.
     """
 
     def __post_init__(self) -> None:
@@ -127,13 +131,13 @@ def canonical(value: Any, *, defaults: bool = True) -> Any:
     """Convert an option or an Options object to plain data: dicts, lists, strings and numbers.
 
     defaults: whether to include options that have their default value, at every depth. Without them, the data do not
-    change when a class gains an option.
+    change when a class gains an option. Options with the metadata ``{"identifies": False}`` are left out too.
     """
     plain = functools.partial(canonical, defaults=defaults)
     if isinstance(value, PluginOption):
         return {"kind": value.kind, **plain(value.made)}
     if isinstance(value, Options):
-        shown = [f for f in dataclasses.fields(value) if f.init and (defaults or not _at_default(value, f))]
+        shown = [f for f in dataclasses.fields(value) if f.init and (defaults or _identifies(value, f))]
         table = {f.name: plain(getattr(value, f.name)) for f in shown}
         kind = getattr(type(value), "kind", None)
         return {"kind": kind, **table} if isinstance(kind, str) else table
@@ -142,6 +146,10 @@ def canonical(value: Any, *, defaults: bool = True) -> Any:
     if isinstance(value, list | tuple):
         return [plain(item) for item in value]
     return value
+
+
+def _identifies(made: Options, field: dataclasses.Field[Any]) -> bool:
+    return field.metadata.get("identifies", True) and not _at_default(made, field)
 
 
 def _at_default(made: Options, field: dataclasses.Field[Any]) -> bool:
@@ -237,18 +245,23 @@ def relative_to(folder: Path) -> Iterator[None]:
 def _resolve(path: str) -> str:
     resolved = (_folder.get() or Path()) / path
     try:
+        if (elsewhere := os.environ.get(DATA_FOLDER)) and not resolved.exists():
+            resolved = Path(elsewhere) / path
         is_file, exists = resolved.is_file(), resolved.exists()
     except OSError as error:  # e.g. a name that is too long, or a folder without permission
         raise ValueError(f"cannot be read: {error.strerror}: {_shown(str(resolved))}") from error
     if exists and not is_file:
         raise ValueError(f"expected a regular file, got a folder or device: {resolved}")
     if not is_file:
-        raise ValueError(f"no such file: {resolved}")
+        raise ValueError(f"no such file: {resolved}; correct the path, or set {DATA_FOLDER} to the folder")
     return str(resolved)
 
 
 FilePath = Annotated[str, AfterValidator(_resolve)]
-"""An option that is the path of an existing file, absolute or relative to the manifest's folder."""
+"""An option that is the path of an existing file, absolute or relative to the manifest's folder.
+
+A file that is not there is looked for in the folder that the environment variable ``NFBENCH_DATA`` names.
+"""
 
 
 def _adapters(cls: type[Options]) -> dict[str, TypeAdapter[Any]]:

@@ -26,6 +26,7 @@ from .distribution import distribution_figure
 from .drawing import KINDS, Drawing, Kind, NotDrawnError
 from .error import error_figures
 from .expected_cost import ert_figure
+from .localization import localization_figure, write_localization_figure
 from .positions import few_enough, position_figures
 from .ranks import ranks_figure
 from .runtime import runtime_figure
@@ -38,9 +39,11 @@ __all__ = [
     "Drawing",
     "Kind",
     "figures",
+    "localization_figure",
     "styled",
     "write_array_figure",
     "write_figures",
+    "write_localization_figure",
 ]
 
 FORMATS: dict[str, dict[str, Any]] = {  # metadata; None drops what changes with the date or version

@@ -94,6 +94,9 @@ class Sweep:
                 break
         if self.points and self.scenario is None and not errors.texts:
             errors.add("scenario", self.points[0].scenario.broken or "cannot be constructed")
+        measures = {scenario.ranked_by(): None for scenario in self.scenarios if scenario is not None}
+        if len(measures) > 1 and not errors.texts:
+            errors.add("sweep", f"expected points with one measure of the error, got {', '.join(measures)}")
 
     def _may_be_built(self) -> bool:
         """Whether the scenario is given and there are not too many points; if not, record the error."""

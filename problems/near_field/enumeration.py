@@ -10,7 +10,7 @@ from numpy import ndarray
 
 from nfbench import Ge, Incompatible
 
-from .instance import NearFieldInstance
+from .array_instance import ArrayInstance
 from .subspace import compress
 
 __all__ = ["Criterion", "Sources", "estimate_sources", "how_many"]
@@ -23,7 +23,7 @@ Sources: TypeAlias = Annotated[int, Ge(1)] | Literal["known", "estimate"]
 "estimate" for an estimate from the data."""
 
 
-def how_many(instance: NearFieldInstance, sources: Sources, criterion: Criterion) -> int:
+def how_many(instance: ArrayInstance, sources: Sources, criterion: Criterion) -> int:
     """Return the number K of sources that a formulation with these options looks for; "estimate" may return 0.
 
     Raises Incompatible if ``criterion`` is undefined for the data, or if the assumed number is not smaller than the

@@ -12,10 +12,10 @@ from numpy import ndarray
 from nfbench import Formulation, Incompatible, Instance, Minimize, Reference, Solution
 
 from .. import search
+from ..array_instance import ArrayInstance
 from ..certificate import Certificate, certify, certify_one_source, unproven
 from ..certificate import warm_up as warm_up_certificate
 from ..enumeration import Criterion, Sources, how_many
-from ..instance import NearFieldInstance
 from ..subspace import decompose
 from ..wavefronts import Manifold, Wavefront
 
@@ -54,7 +54,7 @@ class Certified(Formulation):
         only if ``sources`` is "estimate".
     """
 
-    accepts: ClassVar[type[Instance]] = NearFieldInstance
+    accepts: ClassVar[type[Instance]] = ArrayInstance  # type: ignore[type-abstract]  # any subclass
     needs_solver: ClassVar[bool] = False
 
     wavefront: Wavefront | None = None
@@ -65,7 +65,7 @@ class Certified(Formulation):
         search.warm_up()
         warm_up_certificate()
 
-    def solve(self, instance: NearFieldInstance, minimize: Minimize) -> Solution:
+    def solve(self, instance: ArrayInstance, minimize: Minimize) -> Solution:
         """Return the sources (K, d) [rad, m] with the columns above.
 
         Raises Incompatible if there are fewer snapshots than sources, or if the wavefront is planar.

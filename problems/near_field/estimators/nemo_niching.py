@@ -11,8 +11,8 @@ from numpy import ndarray
 
 from nfbench import Formulation, Incompatible, Instance, Minimize
 
+from ..array_instance import ArrayInstance
 from ..enumeration import Criterion, Sources, how_many
-from ..instance import NearFieldInstance
 from ..objectives.rls import RLS
 from ..search import warm_up as warm_up_search
 from ..subspace import compress
@@ -42,7 +42,7 @@ class NemoNiching(Formulation):
         only if ``sources`` is "estimate".
     """
 
-    accepts: ClassVar[type[Instance]] = NearFieldInstance
+    accepts: ClassVar[type[Instance]] = ArrayInstance  # type: ignore[type-abstract]  # any subclass
 
     refine: bool = False
     wavefront: Wavefront | None = None
@@ -52,7 +52,7 @@ class NemoNiching(Formulation):
     def warm_up(self) -> None:
         warm_up_search()
 
-    def solve(self, instance: NearFieldInstance, minimize: Minimize) -> Float[ndarray, "k d"]:
+    def solve(self, instance: ArrayInstance, minimize: Minimize) -> Float[ndarray, "k d"]:
         """Return the sources (K, d) [rad, m], the deepest minimum first; fewer if the population is smaller.
 
         Raises Incompatible if the solver does not report a population.
