@@ -149,11 +149,14 @@ TRUTH
 [[formulation]]
 kind = "grid-refine"
 [[formulation]]
-kind = "music"
-grid = { azimuth = 20, range = 20 }
+kind = "neef"
+[[solver]]
+kind = "random-search"
+[budget]
+evaluations = 50
 [[claim]]
-text = "MUSIC is worse"
-compare = { better = "grid-refine", worse = "music" }
+text = "Random search is worse"
+compare = { better = "grid-refine", worse = "neef + random-search" }
 """
 
 
