@@ -22,7 +22,7 @@ from .resolve import ErrorCollector, Resolver
 from .schema import Manifest, Proofs, Summary, Table, Targets
 from .sweep import AT_FIRST, Sweep, limits_given_twice, sweep_points, with_first_limits
 
-__all__ = ["load_scenarios", "load_study", "scene_numbers"]
+__all__ = ["load_methods", "load_scenarios", "load_study", "scene_numbers"]
 
 T = TypeVar("T", bound=Options)
 
@@ -64,6 +64,25 @@ def load_scenarios(path: str | Path, plugins: Iterable[str | Path] = ()) -> list
                 str(path), [*errors.texts, *([hint + ", ".join(manifest.plugins)] * bool(manifest.plugins))]
             )
         return [(point.swept, _scenario(point.scenario, resolver.registry)) for point in points]
+
+
+def load_methods(path: str | Path, plugins: Iterable[str | Path] = ()) -> list[Method]:
+    """Return the methods of a study, with the limits of the first point of its sweep.
+
+    As in ``load_scenarios``, the plugin files that the manifest names are not imported. Raises ManifestError if the
+    manifest is invalid or needs a plugin file that is not given.
+    """
+    path = Path(path)
+    table, _ = _read(path)
+    errors = ErrorCollector()
+    with relative_to(path.parent):
+        manifest = _top_level(table, errors)
+        resolver = Resolver(_registry(plugins, errors), errors)
+        methods = study_methods(with_first_limits(manifest), resolver, None)
+    if errors.texts:
+        hint = f"pass the plugin files that it names with --plugin: {', '.join(manifest.plugins)}"
+        raise ManifestError(str(path), [*errors.texts, *([hint] * bool(manifest.plugins))])
+    return methods
 
 
 def scene_numbers(path: str | Path) -> dict[int, int]:
