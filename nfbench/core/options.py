@@ -206,7 +206,8 @@ class OneOf:
     """Annotation of a field that holds an object of one of several Options classes, selected by ``kind``.
 
     ``array: Annotated[Array, OneOf(ULA, UPA)]`` accepts ``{"kind": "ula", "elements": 128}`` or a ``ULA`` object.
-    Each class defines its name in the class variable ``kind``.
+    Each class defines its name in the class variable ``kind``. A ``label`` in a table names it in the tables and
+    figures of a study that sweeps it, and has no effect on the object.
     """
 
     def __init__(self, *classes: type[Options]) -> None:
@@ -227,7 +228,8 @@ class OneOf:
             hint = suggest(kind, self.classes) if isinstance(kind, str) else f"; known: {', '.join(self.classes)}"
             problem = "is required" if kind is None else f"unknown kind {_shown(kind)}"
             raise OptionError("", [("kind", f"{problem}{hint}")])
-        return build(self.classes[kind], {name: item for name, item in value.items() if name != "kind"})
+        table = {name: item for name, item in value.items() if name != "kind"}
+        return build(self.classes[kind], _without_label(self.classes[kind], table))
 
 
 @contextlib.contextmanager
@@ -276,6 +278,8 @@ def _schema(hint: Any) -> Any:
     marks = [mark for mark in getattr(hint, "__metadata__", ()) if isinstance(mark, OneOf | PlainValidator)]
     if isinstance(hint, type) and issubclass(hint, Options):
         return Annotated[Any, PlainValidator(functools.partial(_table, hint))]
+    if typing.get_origin(hint) is tuple:  # of tables, too
+        return tuple[tuple(part if part is ... else _schema(part) for part in typing.get_args(hint))]  # type: ignore[misc]
     return Annotated[Any, marks[0]] if marks else hint
 
 
@@ -286,7 +290,16 @@ def _table(cls: type[Options], value: Any) -> Options:
     if not isinstance(value, Mapping):
         names = ", ".join(f.name for f in dataclasses.fields(cls))
         raise ValueError(f"expected a table ({names}), got {_shown(value)}")
-    return build(cls, value)
+    return build(cls, _without_label(cls, value))
+
+
+def _without_label(cls: type[Options], table: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return a table without its ``label``, which is not an option, unless the class has such an option."""
+    if "label" not in table or any(field.name == "label" for field in dataclasses.fields(cls)):
+        return table
+    if not isinstance(table["label"], str):
+        raise OptionError("", [("label", f"expected a string, got {_shown(table['label'])}")])
+    return {name: item for name, item in table.items() if name != "label"}
 
 
 def _checked(cls: type[Options], name: str, value: Any) -> tuple[Any, list[tuple[str, str]]]:

@@ -15,6 +15,7 @@ from .plan import digest
 from .records import Point
 from .resolve import ErrorCollector, Resolver
 from .schema import Limits, Manifest, Table
+from .swept_names import SweptNames
 
 __all__ = ["AT_FIRST", "Sweep", "limits_given_twice", "sweep_points", "with_first_limits"]
 
@@ -68,6 +69,10 @@ class Sweep:
         errors = self.resolver.errors
         self._seen: dict[str, str] = {}
         self._swept = _swept(self.manifest.sweep, errors)
+        self._names = {key: SweptNames(key, values) for key, values in self._swept.items()}
+        for key, names in self._names.items():
+            for place, text in names.problems():
+                errors.add(f"sweep.{key}{place}", text)
         self._count = math.prod(map(len, self._swept.values()))
         self._left = self._settings() if self._may_be_built() else iter(())
         self._done = 0
@@ -143,7 +148,7 @@ class Sweep:
         values = {
             key: limits.get(key.removeprefix(BUDGET), setting[key])
             if key.startswith(BUDGET)
-            else _at(spec.options, key, setting[key])
+            else self._names[key].name(setting[key], _at(spec.options, key, setting[key]))
             for key in self._swept
         }
         self.points.append(Point(spec, values, limits))

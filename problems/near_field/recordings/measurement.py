@@ -11,7 +11,7 @@ from scipy.signal import get_window
 
 __all__ = ["covariance_factor", "dead_channels", "normalized", "oriented", "spectral_snapshots", "spherical"]
 
-WEAKEST = 1e-6  # power that the sources do not explain, relative to that of the data, below which it is rounding
+WEAKEST = 1e-10  # power that the sources do not explain, relative to that of the data, below which it is rounding
 SAME = 1e-6  # relative difference of two elements of a covariance that are equal up to rounding
 DEAD = 1e-4  # power of a channel, relative to the median of all, below which it is dead: −40 dB
 
@@ -100,7 +100,7 @@ def dead_channels(Y: Complex[ndarray, "m t"]) -> list[int]:
 def normalized(Y: Complex[ndarray, "m t"], sources: int) -> tuple[Complex[ndarray, "m t"], float]:
     """Return the data divided by the deviation of what K sources cannot explain, and that deviation.
 
-    The variance is the mean of the M − K smallest eigenvalues of Y·Yᴴ/T, but at least 1e-6 of the mean power of an
+    The variance is the mean of the M − K smallest eigenvalues of Y·Yᴴ/T, but at least 1e-10 of the mean power of an
     element.
     """
     M, T = Y.shape
