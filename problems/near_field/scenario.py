@@ -231,7 +231,7 @@ class NearField(Scenario):
         symbols = np.sqrt(snr)[:, None] * _rows(for_symbols, self.sources, self.snapshots)
         N = _rows(for_noise, manifold.elements, self.snapshots)
         Y = np.einsum("tmk,kt->mt", np.broadcast_to(H, (self.snapshots, *H.shape[1:])), symbols) + N
-        frame = self.array.frame(self.wavelength_m)
+        frame = self.array.frame(self.wavelength)
         return NearFieldInstance(
             Y, theta, manifold, lower, upper, H, symbols, snr, self.rician_k, self.gospa_cutoff_m, frame
         )
