@@ -13,7 +13,7 @@ def picture(covariance, *, flat=False, sources=1):
     Q = rng.uniform(-0.5, 0.5, (20, 3)) * [1, 1, 0]
     corners = np.array([[-1, -1, 0.5], [1, -1, 0.5], [1, 1, 2.0]]) * [1, 1, 0 if flat else 1]
     places = np.tile([0.2, 0.1, 0.0 if flat else 1.0], (sources, 1))
-    return Picture(Q, (corners,), places, np.tile(covariance, (sources, 1, 1)), places + 0.01)
+    return Picture(Q, (corners,), places, np.tile(covariance, (sources, 1, 1)), places + np.array([0.01, 0.01, 0.0]))
 
 
 def panels(figure):
