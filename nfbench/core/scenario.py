@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy import ndarray
@@ -13,6 +13,7 @@ from numpy import ndarray
 from .localization import Localization
 from .options import Options
 from .problem import Problem
+from .survey import Survey
 
 __all__ = ["Extra", "Instance", "ProblemInstance", "Scenario"]
 
@@ -38,10 +39,12 @@ class Instance(ABC):
         return np.array([self.score(estimate)[measure] for estimate in estimates], dtype=np.float64)
 
     def positions(self, estimate: ndarray) -> tuple[ndarray, ndarray] | None:
-        """Return the true and the estimated positions of the sources for figures: two arrays (K, 3), Cartesian [m].
+        """Return the true and the estimated positions of the sources for ``positions.csv`` and figures, Cartesian [m].
 
-        Row k of the second array is the estimate assigned to source k, or NaN if no estimate is assigned to it. The
-        default is None, which means that there are no positions to show.
+        These are two arrays, of shape (K, 3) and with at least K rows. Row k of the second one is the estimate assigned
+        to source k, or NaN if no estimate is assigned to it. Rows beyond K are the estimates that are assigned to no
+        source. The default is None, which means that there are no positions to show. It is called for estimates whose
+        ``score`` is valid.
         """
         return None
 
@@ -113,6 +116,16 @@ class Scenario(Options, ABC):
         return within milliseconds. The default is an empty list.
         """
         return []
+
+    @classmethod
+    def survey(cls, options: Mapping[str, Any]) -> Survey | None:
+        """Return what is worth knowing about the array in some options of the scenario, for ``nfbench show array``.
+
+        options: ``array`` and what determines the wavelength, as in a manifest; other options may be missing.
+
+        Raise OptionError if they are invalid. The default is None, which means that the scenario has no array.
+        """
+        return None
 
     @abstractmethod
     def draw(self, rng: np.random.Generator) -> Instance:

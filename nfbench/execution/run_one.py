@@ -29,7 +29,7 @@ from nfbench.plugins import Registry
 from nfbench.study import PluginSpec, RunRecord, RunSpec
 
 from .stopping import Stopping
-from .storable import Unstorable, plain_columns, plain_estimate, plain_reference, plain_scores
+from .storable import Unstorable, plain_columns, plain_estimate, plain_positions, plain_reference, plain_scores
 
 __all__ = ["execute"]
 
@@ -81,6 +81,7 @@ class _Attempt:
         self.minima: list[Minimum] = []
         self.scores: dict[str, float] = {}
         self.estimate: list[Any] | None = None
+        self.positions: tuple[list[list[float]], list[list[float]]] | None = None
         self.optimum: Any = None  # known minimum of the first problem
         self.runtime_s = self.cpu_s = math.nan
 
@@ -129,6 +130,7 @@ class _Attempt:
         measure = scenario.ranked_by()
         if estimate.size and math.isnan(self.scores.get(measure, math.nan)):
             raise _Ended(Status.INVALID, f"{measure} of the estimate is NaN")
+        self.positions = plain_positions(instance.positions(estimate))
         return Status.OK, "; ".join(minimum.message for minimum in self.minima if minimum.message)
 
     def record(self, status: Status, message: str) -> RunRecord:
@@ -144,6 +146,7 @@ class _Attempt:
             cpu_s=self.cpu_s,
             scores={**self.scores, **self.facts(status)},
             estimate=self.estimate,
+            positions=self.positions,
             traces=tuple(minimum.trace.thinned(max(MAX_ROWS // len(minima), 2)) for minimum in minima),
         )
 

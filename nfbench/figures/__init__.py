@@ -18,6 +18,7 @@ from matplotlib.figure import Figure
 from nfbench.core import NfbenchError
 from nfbench.results import Results
 
+from .array import write_array_figure
 from .attainment import attainment_figure
 from .convergence import convergence_figure
 from .data import Drawn, drawn
@@ -40,6 +41,7 @@ __all__ = [
     "figures",
     "localization_figure",
     "styled",
+    "write_array_figure",
     "write_figures",
     "write_localization_figure",
 ]

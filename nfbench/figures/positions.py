@@ -113,7 +113,7 @@ def _redrawn(part: Drawn, scenario: Scenario, numbers: dict[int, int], estimates
             placed = instance.positions(estimate)
             if placed is None:
                 return None
-            truth, matched[run["method"]] = placed
+            truth, matched[run["method"]] = placed[0], placed[1][: len(placed[0])]
         truths.append(truth)
         for name, places in found.items():
             places.append(matched.get(name, np.full_like(truth, math.nan)))

@@ -130,6 +130,8 @@ class RunRecord:
     cpu_s: CPU time of the process during ``solve`` [s]; NaN if it is not known.
     scores: scores of the estimate by column name.
     estimate: estimate that the formulation returned, as nested lists; None if it returned none.
+    positions: true positions, and the estimates in the order of ``Instance.positions``, as lists of points [m]; None if
+    the instance has none, or if the run is not ok.
     traces: one trace for each problem that was minimized, together fewer than 1,000 rows.
     host: name of the machine that executed the run.
     worker: id of the process that executed the run.
@@ -144,6 +146,7 @@ class RunRecord:
     cpu_s: float = math.nan
     scores: dict[str, float] = field(default_factory=dict)
     estimate: list[Any] | None = None
+    positions: tuple[list[list[float]], list[list[float]]] | None = None
     traces: tuple[Trace, ...] = ()
     host: str = field(default_factory=socket.gethostname)
     worker: int = field(default_factory=os.getpid)

@@ -16,6 +16,7 @@ from .array_instance import ArrayInstance
 from .bounds import deterministic_bound, position_bounds, stochastic_bound
 from .floor import local_fit, noise_free_columns
 from .geometry import Frame, cartesian
+from .parameters import parameter_bounds, parameter_scores
 from .wavefronts import Manifold
 
 __all__ = ["NearFieldInstance", "position_errors", "position_scores", "positions_of"]
@@ -75,7 +76,8 @@ class NearFieldInstance(ArrayInstance):
         sources_found: number K̂ of estimates.
         error_1_m, error_2_m, …: errors of the true sources in their order; NaN for a source without an estimate.
 
-        The columns of ``bounds`` are included; they do not depend on the estimate.
+        The columns of ``parameter_scores`` are the errors in azimuth, elevation and range of the same pairs. The
+        columns of ``bounds`` are included; they do not depend on the estimate.
         """
         return position_scores(self.theta, estimate, self.gospa_cutoff_m) | self.bounds()
 
@@ -83,8 +85,8 @@ class NearFieldInstance(ArrayInstance):
         errors = position_errors(self.theta, estimates) if measure == "rmse_m" else None
         return super().errors(measure, estimates) if errors is None else errors
 
-    def positions(self, estimate: Float[ndarray, "q d"]) -> tuple[Float[ndarray, "k 3"], Float[ndarray, "k 3"]]:
-        """Return the true positions and, row by row, the estimates assigned to them as in ``score`` [m]."""
+    def positions(self, estimate: Float[ndarray, "q d"]) -> tuple[Float[ndarray, "k 3"], Float[ndarray, "_ 3"]]:
+        """Return the true positions, and the estimates assigned to them as in ``score`` before the others [m]."""
         return positions_of(self.theta, estimate)
 
     def bounds(self) -> dict[str, float]:
@@ -97,6 +99,8 @@ class NearFieldInstance(ArrayInstance):
         crb_m: root mean square of the stochastic bounds over the sources.
         crb_deterministic_m: root mean square of the deterministic bounds, for the symbols that were sent.
         crb_1_m, crb_2_m, …: stochastic bounds of the individual sources.
+
+        The columns of ``parameter_bounds`` are the stochastic bounds of the azimuths, elevations and ranges.
 
         Under Rician fading these bounds do not hold; the only column is then:
 
@@ -119,6 +123,7 @@ class NearFieldInstance(ArrayInstance):
             "crb_m": _root_mean_square(per_source),
             "crb_deterministic_m": _root_mean_square(position_bounds(deterministic, self.theta)),
             **{f"crb_{k}_m": float(bound) for k, bound in enumerate(per_source, start=1)},
+            **parameter_bounds(stochastic, self.theta),
         }
 
 
@@ -138,11 +143,11 @@ def position_scores(
     with np.errstate(over="ignore", invalid="ignore"):
         squares = np.sum((cartesian(truth)[:, None] - cartesian(estimate)) ** 2, axis=-1)
     K, found = squares.shape
-    errors = np.full(K, math.nan)
+    errors, assigned = np.full(K, math.nan), np.full_like(truth, math.nan)
     scores = dict.fromkeys(("rmse_m", "gospa_m", "sources", "sources_found"), math.nan)
     if np.isfinite(squares).all():  # also false if a squared distance overflows
         true, matched = linear_sum_assignment(squares)
-        errors[true] = np.sqrt(squares[true, matched])
+        errors[true], assigned[true] = np.sqrt(squares[true, matched]), estimate[matched]
         rmse = math.sqrt(np.mean(squares[true, matched])) if found else math.nan
         scores = {
             "rmse_m": rmse,
@@ -151,7 +156,7 @@ def position_scores(
             "sources_found": found,
         }
     scores |= {f"error_{k}_m": float(error) for k, error in enumerate(errors, start=1)}
-    return scores
+    return scores | parameter_scores(truth, assigned)
 
 
 def position_errors(
@@ -168,14 +173,14 @@ def position_errors(
 
 def positions_of(
     theta: Float[ndarray, "k d"], estimate: Float[ndarray, "q d"]
-) -> tuple[Float[ndarray, "k 3"], Float[ndarray, "k 3"]]:
-    """Return the true positions and, row by row, the estimates assigned to them as in ``position_scores`` [m]."""
+) -> tuple[Float[ndarray, "k 3"], Float[ndarray, "_ 3"]]:
+    """Return the true positions, and the estimates assigned as in ``position_scores`` before the others [m]."""
     truth = cartesian(theta)
     found = cartesian(np.asarray(estimate, dtype=np.float64).reshape(-1, theta.shape[1]))
     source, guess = linear_sum_assignment(np.sum((truth[:, None] - found) ** 2, axis=-1))
     matched = np.full_like(truth, math.nan)
     matched[source] = found[guess]
-    return truth, matched
+    return truth, np.vstack([matched, np.delete(found, guess, axis=0)])
 
 
 def _assigned(squares: Float[ndarray, "r k found"]) -> Float[ndarray, " r"]:

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, ClassVar, Literal, TypeAlias, final
+from typing import Annotated, Any, ClassVar, Literal, TypeAlias, final
 
 import numpy as np
 from jaxtyping import Complex, Float
 from numpy import ndarray
 
-from nfbench import Ge, Gt, Instance, Le, Lt, OneOf, OptionError, Scenario
+from nfbench import Ge, Gt, Instance, Le, Lt, OneOf, OptionError, Scenario, Survey
 
 from .arrays import AnyArray, unusual
+from .arrays.survey import survey
 from .carrier import Frequency, Speed, Wavelength, carrier_problems, carrier_wavelength
 from .channels import IID, ClusterAroundSource, Clusters, Isotropic, NLoS, complex_normal, rician
 from .fixed_sources import cartesian_problems, cartesian_sources, spherical_problems, spherical_sources
@@ -144,6 +146,10 @@ class NearField(Scenario):
     def wavelength(self) -> float:
         """The wavelength λ [m]."""
         return carrier_wavelength(self.wavelength_m, self.frequency_hz, self.speed_m_s)
+
+    @classmethod
+    def survey(cls, options: Mapping[str, Any]) -> Survey:
+        return survey(options)
 
     def manifold(self) -> Manifold:
         """Return the array and the wavefront model with which the data are generated."""

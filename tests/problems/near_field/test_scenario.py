@@ -310,8 +310,11 @@ def test_scores_follow_from_the_best_assignment(seed, sources, found, spread_m, 
     scores = instance.score(estimate)
     errors = errors_by_brute_force(instance, estimate)
     names = ["rmse_m", "gospa_m", "sources", "sources_found"]
-    assert list(scores) == [*names, *(f"error_{k}_m" for k in range(1, sources + 1)), "floor_m"]
-    assert_allclose(list(scores.values())[4:-1], errors, rtol=1e-9)
+    parameters = ["azimuth_rmse_deg", "range_rmse_m"]
+    for k in range(1, sources + 1):
+        parameters += [f"azimuth_error_{k}_deg", f"range_error_{k}_m"]
+    assert list(scores) == [*names, *(f"error_{k}_m" for k in range(1, sources + 1)), *parameters, "floor_m"]
+    assert_allclose(list(scores.values())[4 : 4 + sources], errors, rtol=1e-9)
     assert np.isnan(errors).sum() == max(sources - found, 0)
     matched = errors[~np.isnan(errors)]
     rmse = math.sqrt(np.mean(matched**2)) if found else math.nan
