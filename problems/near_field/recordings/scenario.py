@@ -211,7 +211,7 @@ class Recorded(Measured):
         if self.data_kind == "samples":
             Y, note = self._transformed(X, rate_hz)
             notes.append(note)
-        elif not np.iscomplexobj(X) or not X.imag.any():
+        elif not np.iscomplexobj(X) or (X.any() and not X.imag.any()):
             text = f"expected complex {self.data_kind}, got real numbers, which have no phase"
             raise ValueError(f'{text}; for samples over time, give data_kind = "samples" and sample_rate_hz')
         elif self.data_kind == "covariance":
