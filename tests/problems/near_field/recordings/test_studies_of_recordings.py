@@ -23,7 +23,7 @@ seed = 3
 kind = "recorded"
 data = "data.npy"
 segments = 4
-array = { kind = "custom", file = "positions.csv", origin = "center", broadside = "+z", up = "+y" }
+array = { kind = "custom", file = "microphones.csv", origin = "center", broadside = "+z", up = "+y" }
 frequency_hz = 1700.0
 speed_m_s = 340.0
 sources = 2
@@ -54,7 +54,7 @@ RESPONSES = (
 @pytest.fixture
 def folder(tmp_path):
     np.save(tmp_path / "data.npy", snapshots(count=80, noise=0.1))
-    np.savetxt(tmp_path / "positions.csv", POSITIONS, delimiter=",", header="x_m,y_m,z_m", comments="")
+    np.savetxt(tmp_path / "microphones.csv", POSITIONS, delimiter=",", header="x_m,y_m,z_m", comments="")
     np.savetxt(tmp_path / "truth.csv", TRUTH, delimiter=",", header="x_m,y_m,z_m", comments="")
     return tmp_path
 
