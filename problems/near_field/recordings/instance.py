@@ -111,8 +111,9 @@ class RecordedInstance(ArrayInstance):
         errors = position_errors(self.theta, estimates) if self.theta is not None and measure == "rmse_m" else None
         return super().errors(measure, estimates) if errors is None else errors
 
-    def positions(self, estimate: Float[ndarray, "q d"]) -> tuple[Float[ndarray, "k 3"], Float[ndarray, "k 3"]] | None:
-        return None if self.theta is None else positions_of(self.theta, estimate)
+    def positions(self, estimate: Float[ndarray, "q d"]) -> tuple[Float[ndarray, "k 3"], Float[ndarray, "_ 3"]]:
+        theta = np.empty((0, self.manifold.dimension)) if self.theta is None else self.theta
+        return positions_of(theta, estimate)
 
     @cached_property
     def _floor(self) -> dict[str, float]:

@@ -72,8 +72,10 @@ class Recorded(Measured):
     gains_file: path of a file with the complex gains of the elements, shape (M,); None: not known.
     noise_file: path of a file with the covariance of the noise, shape (M, M), or its power in each element, shape (M,),
         in the units of the data squared; None: not known.
-    frequency_hz: frequency [Hz].
-    speed_m_s: speed of the waves [m/s].
+    wavelength_m: wavelength λ [m]; None: it follows from ``frequency_hz`` and ``speed_m_s``.
+    frequency_hz: frequency f of the waves [Hz], in place of ``wavelength_m``; None: ``wavelength_m`` is used.
+    speed_m_s: speed c of the waves [m/s], required with ``frequency_hz``: 299792458 for radio waves, about 343 for
+        sound in air; None: ``wavelength_m`` is used.
     wavefront: wavefront model that the formulations assume: "exact" (spherical), "fresnel", "paper" or "planar".
     sources: number K of sources; must be smaller than the number of elements.
     azimuth_deg: interval [low, high] [°] in which azimuths are searched.
@@ -242,7 +244,7 @@ class Recorded(Measured):
         if self.data_kind == "samples":
             Y, note = self._transformed(X, rate_hz, frequency_hz)
             notes.append(note)
-        elif not np.iscomplexobj(X) or not X.imag.any():
+        elif not np.iscomplexobj(X) or (X.any() and not X.imag.any()):
             text = f"expected complex {self.data_kind}, got real numbers, which have no phase"
             raise ValueError(f'{text}; for samples over time, give data_kind = "samples" and sample_rate_hz')
         elif self.data_kind == "covariance":
@@ -260,6 +262,8 @@ class Recorded(Measured):
     ) -> tuple[Complex[ndarray, "m t"], str]:
         """Return the snapshots at a frequency, and a sentence about them."""
         rate = self.sample_rate_hz or stated_hz
+        if self.frequency_hz is None:
+            raise self._error("frequency_hz", "is required for samples over time, with speed_m_s: the frequency [Hz]")
         if rate is None:
             raise self._error("sample_rate_hz", "is required for samples over time: the sampling rate [Hz]")
         if stated_hz is not None and not math.isclose(rate, stated_hz, rel_tol=1e-6):
