@@ -13,6 +13,7 @@ from nfbench import Formulation, Incompatible, Instance, Minimize, Reference, So
 
 from .. import search
 from ..array_instance import ArrayInstance
+from ..bands import one_band
 from ..certificate import Certificate, certify, certify_one_source, unproven
 from ..certificate import warm_up as warm_up_certificate
 from ..enumeration import Criterion, Sources, how_many
@@ -68,8 +69,10 @@ class Certified(Formulation):
     def solve(self, instance: ArrayInstance, minimize: Minimize) -> Solution:
         """Return the sources (K, d) [rad, m] with the columns above.
 
-        Raises Incompatible if there are fewer snapshots than sources, or if the wavefront is planar.
+        Raises Incompatible if there are fewer snapshots than sources, if the wavefront is planar, or if there are
+        several frequency bins.
         """
+        one_band(instance.bands, "certified", "as the proofs hold for one wavelength")
         K = how_many(instance, self.sources, self.criterion)
         if K == 0:
             return Solution(np.empty((0, instance.manifold.dimension)))

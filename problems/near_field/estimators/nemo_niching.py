@@ -12,6 +12,7 @@ from numpy import ndarray
 from nfbench import Formulation, Incompatible, Instance, Minimize
 
 from ..array_instance import ArrayInstance
+from ..bands import one_band
 from ..enumeration import Criterion, Sources, how_many
 from ..objectives.rls import RLS
 from ..search import warm_up as warm_up_search
@@ -55,8 +56,9 @@ class NemoNiching(Formulation):
     def solve(self, instance: ArrayInstance, minimize: Minimize) -> Float[ndarray, "k d"]:
         """Return the sources (K, d) [rad, m], the deepest minimum first; fewer if the population is smaller.
 
-        Raises Incompatible if the solver does not report a population.
+        Raises Incompatible if the solver does not report a population, or if there are several frequency bins.
         """
+        one_band(instance.bands, "nemo-niching", "which searches one problem of one wavelength")
         K = how_many(instance, self.sources, self.criterion)
         manifold = instance.manifold.under(self.wavefront)
         if K == 0:
@@ -68,5 +70,5 @@ class NemoNiching(Formulation):
                 "solver: expected one that keeps its last population, from which nemo-niching takes the sources, "
                 "got one that keeps none; use for example crowding-de"
             )
-        individuals, minima = pick_peaks(problem, manifold, population, K)
+        individuals, minima = pick_peaks(problem, population, K)
         return minima if self.refine else individuals

@@ -52,7 +52,7 @@ class RLS(Problem):
         if lower.shape != (manifold.dimension,) or upper.shape != lower.shape:
             raise ValueError(f"lower, upper: expected shape ({manifold.dimension},), got {lower.shape}, {upper.shape}")
         self.lower, self.upper = lower, upper
-        self._manifold = manifold
+        self.manifold = manifold
         kernels.warm_up()
         L = compress(Y)
         factor = *manifold.packed, kernels.pack_rows(L)
@@ -70,16 +70,16 @@ class RLS(Problem):
         self._repulsion_one = partial(kernels.repulsion_one, *cone)
 
     def evaluate(self, X: Float[ndarray, "p n"]) -> Float[ndarray, " p"]:
-        residual = np.maximum(self._energy - self._projected_energy(X) / self._manifold.elements, 0.0)
+        residual = np.maximum(self._energy - self._projected_energy(X) / self.manifold.elements, 0.0)
         return residual + self._repulsion(X) if len(self._detected) else residual
 
     def value(self, x: Float[ndarray, " n"]) -> float:
-        residual: float = max(self._energy - self._projected_energy_one(x) / self._manifold.elements, 0.0)
+        residual: float = max(self._energy - self._projected_energy_one(x) / self.manifold.elements, 0.0)
         return residual + self._repulsion_one(x) if len(self._detected) else residual
 
     def value_and_gradient(self, x: Float[ndarray, " n"]) -> tuple[float, Float[ndarray, " n"]]:
         """The value and the gradient; of the repulsion a subgradient, zero where it has a kink."""
-        M = self._manifold.elements
+        M = self.manifold.elements
         energy, slope = self._projected_energy_and_gradient(x)
         gradient: Float[ndarray, " n"] = -slope / M
         value = max(self._energy - energy / M, 0.0)

@@ -88,6 +88,11 @@ class Measured(Scenario, ABC):
         return carrier_wavelength(self.wavelength_m, self.frequency_hz, self.speed_m_s)
 
     @property
+    def bins(self) -> int:
+        """The number of frequencies whose data are fitted together."""
+        return 1
+
+    @property
     def frame(self) -> Frame:
         """The coordinates in which the array and the true positions are described."""
         return self.array.frame(self.wavelength)
