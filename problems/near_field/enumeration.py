@@ -10,6 +10,7 @@ from numpy import ndarray
 
 from nfbench import Ge, Incompatible
 
+from .calibration import Knowledge, calibrated
 from .instance import NearFieldInstance
 from .subspace import compress
 
@@ -23,8 +24,12 @@ Sources: TypeAlias = Annotated[int, Ge(1)] | Literal["known", "estimate"]
 "estimate" for an estimate from the data."""
 
 
-def how_many(instance: NearFieldInstance, sources: Sources, criterion: Criterion) -> int:
+def how_many(
+    instance: NearFieldInstance, sources: Sources, criterion: Criterion, knows: Knowledge | None = None
+) -> int:
     """Return the number K of sources that a formulation with these options looks for; "estimate" may return 0.
+
+    The estimate is made from the data after removing what the formulation ``knows`` of the array.
 
     Raises Incompatible if ``criterion`` is undefined for the data, or if the assumed number is not smaller than the
     number of antennas.
@@ -32,7 +37,7 @@ def how_many(instance: NearFieldInstance, sources: Sources, criterion: Criterion
     if sources == "known":
         return instance.sources
     if sources == "estimate":
-        return estimate_sources(instance.Y, criterion)
+        return estimate_sources(instance.Y if knows is None else calibrated(instance, knows)[0], criterion)
     if sources >= instance.manifold.elements:
         raise Incompatible(f"sources: expected fewer than the {instance.manifold.elements} elements, got {sources}")
     return sources

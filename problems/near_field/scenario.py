@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, ClassVar, Literal, TypeAlias, final
 
 import numpy as np
@@ -15,6 +15,7 @@ from nfbench import Ge, Gt, Instance, Le, Lt, OneOf, OptionError, Scenario
 from .arrays import UCA, ULA, UPA, Array, Custom, unusual
 from .channels import IID, ClusterAroundSource, Clusters, Isotropic, NLoS, complex_normal, rician
 from .geometry import ambiguity
+from .impairments import Impairments, mixing_matrix
 from .instance import NearFieldInstance
 from .objectives import kernels
 from .placement import has_room, place_sources
@@ -57,6 +58,8 @@ class NearField(Scenario):
     min_separation_deg: minimum angle [°] between the directions of any two sources, seen from the origin.
     positions: list of fixed sources [azimuth, (elevation,) range] [°, m], one per source; None: sources are drawn at
         random.
+    impairments: table that describes how the array and its sources differ from the model that estimators assume: gain,
+        phase and position errors, failed elements, mutual coupling, coloured noise, correlated sources.
     gospa_cutoff_m: cutoff distance c [m] of the score ``gospa_m``; an estimate farther away counts as a missed source
         and a false estimate.
     """
@@ -77,6 +80,7 @@ class NearField(Scenario):
     range_m: tuple[_Finite, _Finite]
     min_separation_deg: Annotated[float, Ge(0.0), Le(180.0)] = 0.0
     positions: tuple[tuple[_Finite, ...], ...] | None = None
+    impairments: Impairments = Impairments()  # noqa: RUF009  # frozen
     gospa_cutoff_m: Annotated[float, Gt(0.0), Le(1e9)] = 1.0
 
     def validate(self) -> None:
@@ -94,6 +98,8 @@ class NearField(Scenario):
             problems.append(("snr_db", text))
         if math.isfinite(self.rician_k) and self.fading is None:
             problems.append(("fading", f'expected "block" or "snapshot" for rician_k = {self.rician_k:g}, got none'))
+        for path, text in self.impairments.problems(elements, self.sources, self.wavefront):
+            problems.append((f"impairments.{path}", text))
         if self.positions is not None and not problems:
             problems += self._misplaced(self.positions)
         if self.positions is None and not problems:
@@ -139,6 +145,7 @@ class NearField(Scenario):
             *self._in_radians(),
             *self._too_far(),
             *self.nlos.warnings(),
+            *self.impairments.warnings(),
         ]
 
     def _two_sides(self) -> list[str]:
@@ -192,7 +199,7 @@ class NearField(Scenario):
         ]
 
     def draw(self, rng: np.random.Generator) -> NearFieldInstance:
-        """Draw positions, fading, symbols and noise, each from its own child of ``rng``, spawned in this order.
+        """Draw positions, fading, symbols, noise and impairments, each from its own child of ``rng``, in this order.
 
         Each source has its own generators for its position, scattered waves and symbols, and each element one for its
         noise. The same seed therefore gives the same scene at every SNR, Rician factor, array and wavefront: K sources
@@ -200,18 +207,42 @@ class NearField(Scenario):
         T + 1. Raises ValueError if no placement is found whose sources are ``min_separation_deg`` apart.
         """
         self.warm_up()  # so that no measured time includes the compilation
-        for_positions, for_fading, for_symbols, for_noise = rng.spawn(4)
+        for_positions, for_fading, for_symbols, for_noise, for_impairments = rng.spawn(5)
         lower, upper = self.box()
         theta = self._place_sources(for_positions, lower, upper)
         manifold = self.manifold()
+        array = self.impairments.draw(for_impairments, manifold)
+        displaced = array.displace(manifold)
         draws = self.snapshots if self.fading == "snapshot" else 1
-        G = self.nlos.draw(for_fading, draws, manifold, theta, lower, upper)
-        H = rician(manifold.response(theta).T, G, self.rician_k)
+        G = self.nlos.draw(for_fading, draws, displaced, theta, lower, upper)
+        A = replace(displaced, amplitude=array.amplitude).response(theta).T
+        H = array.distort(rician(A, G, self.rician_k))
         snr = 10.0 ** (np.broadcast_to(self.snr_db, self.sources) / 10)
-        symbols = np.sqrt(snr)[:, None] * _rows(for_symbols, self.sources, self.snapshots)
-        N = _rows(for_noise, manifold.elements, self.snapshots)
+        correlation = self.impairments.correlation(self.sources)
+        uncorrelated = _rows(for_symbols, self.sources, self.snapshots)
+        mixing = mixing_matrix(correlation)
+        symbols = np.sqrt(snr)[:, None] * (uncorrelated if mixing is None else mixing @ uncorrelated)
+        N = array.colour(_rows(for_noise, manifold.elements, self.snapshots))
         Y = np.einsum("tmk,kt->mt", np.broadcast_to(H, (self.snapshots, *H.shape[1:])), symbols) + N
-        return NearFieldInstance(Y, theta, manifold, lower, upper, H, symbols, snr, self.rician_k, self.gospa_cutoff_m)
+        return NearFieldInstance(
+            Y,
+            theta,
+            manifold,
+            lower,
+            upper,
+            H,
+            symbols,
+            snr,
+            self.rician_k,
+            self.gospa_cutoff_m,
+            gains=array.gains,
+            coupling=array.coupling,
+            noise_covariance=array.noise_covariance,
+            failed=array.failed,
+            element_positions=array.positions,
+            amplitude=array.amplitude,
+            correlation=None if mixing is None else correlation,
+        )
 
     def box(self) -> tuple[Float[ndarray, " d"], Float[ndarray, " d"]]:
         """Return the lower and upper bounds of one source [rad, m]."""

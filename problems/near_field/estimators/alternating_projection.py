@@ -11,13 +11,14 @@ from numpy import ndarray
 
 from nfbench import Formulation, Ge, Instance, Lt, Minimize, Reference
 
+from ..calibration import calibrated
 from ..enumeration import Criterion, Sources, how_many
 from ..instance import NearFieldInstance
 from ..objectives import kernels_conditional
 from ..objectives.conditional_fit import ConditionalFit
 from ..objectives.factors import Objective, factor
 from ..search import warm_up as warm_up_search
-from ..wavefronts import Wavefront
+from ..wavefronts import Amplitude, Wavefront
 from .certified import certified_first_source
 from .relaxation import TOLERANCE, place, relax
 
@@ -55,6 +56,12 @@ class AlternatingProjection(Formulation):
         ``criterion``, and an integer is used as given, even if it is wrong.
     criterion: criterion by which the number of sources is estimated: "aic", "mdl" or "ne" (Nadakuditi & Edelman); used
         only if ``sources`` is "estimate".
+    known_gains: whether the estimator knows the gains and phases of the elements.
+    known_coupling: whether the estimator knows the mutual coupling of the elements.
+    known_noise: whether the estimator knows the covariance of the noise, and whitens the data with it.
+    known_failed: whether the estimator knows which elements have failed, and leaves them out.
+    known_positions: whether the estimator knows the true positions of the elements.
+    amplitude: amplitude over the array that the estimator assumes, "constant", or "spherical", which is r/‖p − q_m‖.
     """
 
     accepts: ClassVar[type[Instance]] = NearFieldInstance
@@ -66,6 +73,12 @@ class AlternatingProjection(Formulation):
     wavefront: Wavefront | None = None
     sources: Sources = "known"
     criterion: Criterion = "ne"
+    known_gains: bool = False
+    known_coupling: bool = False
+    known_noise: bool = False
+    known_failed: bool = False
+    known_positions: bool = False
+    amplitude: Amplitude = "constant"
 
     def warm_up(self) -> None:
         kernels_conditional.warm_up()
@@ -74,15 +87,16 @@ class AlternatingProjection(Formulation):
 
     def estimates(self, instance: NearFieldInstance, X: Float[ndarray, "r n"]) -> Float[ndarray, "r 1 d"] | None:
         """Return the estimates of a search for one source that is not refined; otherwise None."""
-        single = how_many(instance, self.sources, self.criterion) == 1
+        single = how_many(instance, self.sources, self.criterion, self) == 1
         return X[:, None] if single and not self.refine else None
 
     def reference(self, instance: NearFieldInstance) -> Reference | None:
         """Return the certified minimum of the first problem, the fit of one source, to a stated gap."""
-        K = how_many(instance, self.sources, self.criterion)
+        K = how_many(instance, self.sources, self.criterion, self)
         if K == 0:
             return None
-        F, manifold = factor(instance.Y, K, self.objective), instance.manifold.under(self.wavefront)
+        Y, manifold = calibrated(instance, self)
+        F = factor(Y, K, self.objective)
         return certified_first_source(F, manifold, instance.lower, instance.upper)
 
     def solve(self, instance: NearFieldInstance, minimize: Minimize) -> Float[ndarray, "k d"]:
@@ -90,12 +104,12 @@ class AlternatingProjection(Formulation):
 
         Raises Incompatible if there are fewer snapshots than sources, unless the objective is "dml".
         """
-        K = how_many(instance, self.sources, self.criterion)
-        manifold, box = instance.manifold.under(self.wavefront), (instance.lower, instance.upper)
+        K = how_many(instance, self.sources, self.criterion, self)
+        (Y, manifold), box = calibrated(instance, self), (instance.lower, instance.upper)
         theta = np.empty((0, manifold.dimension))
         if K == 0:
             return theta
-        F = factor(instance.Y, K, self.objective)
+        F = factor(Y, K, self.objective)
         for _ in range(K):
             problem = ConditionalFit(F, manifold, *box, theta)
             theta = np.vstack([theta, place(problem, minimize, refining=self.refine)[0]])

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Annotated, ClassVar, TypeAlias, final
 
 import numpy as np
@@ -13,20 +15,22 @@ from scipy.ndimage import label, maximum_filter
 
 from nfbench import Formulation, Ge, Incompatible, Instance, Le, Minimize, Options
 
+from ..calibration import calibrated
 from ..enumeration import Criterion, Sources, how_many
 from ..instance import NearFieldInstance
 from ..objectives import kernels
-from ..objectives.rls import RLS
+from ..objectives.general_fit import GeneralFit
+from ..objectives.rls import RLS, flattened
 from ..scenario import NearField
 from ..search import warm_up as warm_up_search
 from ..subspace import compress, signal_subspace
-from ..wavefronts import Manifold, Wavefront
+from ..wavefronts import Amplitude, Manifold, Wavefront
 from .refinement import refine
 
 __all__ = ["SLOW_S", "Grid", "Music", "grid_maxima", "pick_peaks", "search_s"]
 
 SAME_PEAK = 0.9999
-"""The squared correlation |a₁ᴴa₂|²/M² above which two refined maxima are considered the same peak.
+"""The squared correlation |a₁ᴴa₂|²/(‖a₁‖²‖a₂‖²) above which two refined maxima are considered the same peak.
 
 Local searches that end at the same peak agree to within 1e-6 of 1. Two sources with a correlation as high as this do
 not form two peaks at any realistic SNR."""
@@ -97,6 +101,12 @@ class Music(Formulation):
         ``criterion``, and an integer is used as given, even if it is wrong.
     criterion: criterion by which the number of sources is estimated: "aic", "mdl" or "ne" (Nadakuditi & Edelman); used
         only if ``sources`` is "estimate".
+    known_gains: whether the estimator knows the gains and phases of the elements.
+    known_coupling: whether the estimator knows the mutual coupling of the elements.
+    known_noise: whether the estimator knows the covariance of the noise, and whitens the data with it.
+    known_failed: whether the estimator knows which elements have failed, and leaves them out.
+    known_positions: whether the estimator knows the true positions of the elements.
+    amplitude: amplitude over the array that the estimator assumes, "constant", or "spherical", which is r/‖p − q_m‖.
     """
 
     accepts: ClassVar[type[Instance]] = NearFieldInstance
@@ -107,6 +117,12 @@ class Music(Formulation):
     wavefront: Wavefront | None = None
     sources: Sources = "known"
     criterion: Criterion = "ne"
+    known_gains: bool = False
+    known_coupling: bool = False
+    known_noise: bool = False
+    known_failed: bool = False
+    known_positions: bool = False
+    amplitude: Amplitude = "constant"
 
     def warm_up(self) -> None:
         warm_up_search()
@@ -128,12 +144,12 @@ class Music(Formulation):
         Raises Incompatible if there are fewer snapshots than sources, or if the grid has elevations and the scenario
         has none.
         """
-        K = how_many(instance, self.sources, self.criterion)
+        K = how_many(instance, self.sources, self.criterion, self)
         if K == 0:
             return np.empty((0, instance.manifold.dimension))
         axes = self.grid.axes(instance.lower, instance.upper)
-        manifold = instance.manifold.under(self.wavefront)
-        U_s = signal_subspace(instance.Y, K)
+        Y, manifold = calibrated(instance, self)
+        U_s = signal_subspace(Y, K)
         maxima = grid_maxima(U_s, manifold, axes, KEEP)
         # ‖(I − P_a)U_s‖² = K − ‖U_sᴴa‖²/M: the minima of RLS of the signal subspace are the peaks of the spectrum
         spectrum = RLS(U_s, manifold, instance.lower, instance.upper)
@@ -159,7 +175,7 @@ def grid_maxima(
     axes: coordinates of the grid in azimuth, (elevation,) range [rad, m].
     keep: maximum number of maxima.
     """
-    rows = kernels.pack_rows(compress(U_s))
+    energy = _energies(compress(U_s), manifold)
     azimuth, slab = axes[0], tuple(len(axis) for axis in axes[1:])
     count = min(max(BLOCK // math.prod(slab), 1), len(azimuth))
     X = np.empty((count, *slab, len(axes)))
@@ -169,7 +185,7 @@ def grid_maxima(
     for first in range(0, len(azimuth) + 1, count):
         block = azimuth[first : first + count]
         X[: len(block), ..., 0] = block.reshape(-1, *[1] * len(slab))
-        new = kernels.projected_energy(*manifold.packed, rows, X[: len(block)].reshape(-1, len(axes)))
+        new = energy(X[: len(block)].reshape(-1, len(axes)))
         edge = np.full((1 if first + count > len(azimuth) else 0, *slab), -np.inf)  # beyond the last azimuth
         window = np.concatenate([window[-2:], new.reshape(-1, *slab), edge])
         is_highest = (window == maximum_filter(window, 3, mode="constant", cval=-np.inf))[1:-1]
@@ -186,6 +202,16 @@ def grid_maxima(
     return points
 
 
+def _energies(
+    rows: Complex[ndarray, "m c"], manifold: Manifold
+) -> Callable[[Float[ndarray, "p d"]], Float[ndarray, " p"]]:
+    """Return the function ‖U_sᴴa‖² of many sources, or ‖U_sᴴa‖²/‖a‖² where responses have another modulus than 1."""
+    if (flat := flattened(rows, manifold)) is None:
+        return GeneralFit(rows, manifold, least=0.0).explained
+    F, unit = flat
+    return partial(kernels.projected_energy, *unit.packed, kernels.pack_rows(F))
+
+
 def pick_peaks(
     spectrum: RLS, manifold: Manifold, maxima: Float[ndarray, "p d"], count: int
 ) -> tuple[Float[ndarray, "k d"], Float[ndarray, "k d"]]:
@@ -198,13 +224,15 @@ def pick_peaks(
     maxima: points (p, d) [rad, m], the highest first.
     count: number of peaks to return.
     """
-    M, d = manifold.elements, manifold.dimension
+    d = manifold.dimension
     points, peaks, twins = np.empty((0, d)), np.empty((0, d)), np.empty((0, d))
     for point in maxima:
         if len(points) == count:
             break
         peak = refine(spectrum, point, manifold)
-        is_same = np.abs(manifold.response(peaks).conj() @ manifold.response(peak)) ** 2 >= SAME_PEAK * M**2
+        A, a = manifold.response(peaks), manifold.response(peak)
+        lengths = np.sum(np.abs(A) ** 2, axis=1) * np.vdot(a, a).real  # M² where all have modulus 1
+        is_same = np.abs(A.conj() @ a) ** 2 >= SAME_PEAK * lengths
         if is_same.any():
             twins = np.vstack([twins, point])
         else:

@@ -12,13 +12,14 @@ from numpy import ndarray
 
 from nfbench import Formulation, Ge, Instance, Lt, Minimize, Reference
 
+from ..calibration import calibrated
 from ..enumeration import Criterion, Sources, how_many
 from ..instance import NearFieldInstance
 from ..objectives import kernels_conditional
 from ..objectives.rls import RLS, deflate
 from ..search import warm_up as warm_up_search
 from ..subspace import compress
-from ..wavefronts import Wavefront
+from ..wavefronts import Amplitude, Wavefront
 from .certified import certified_first_source
 from .refinement import refine
 from .relaxation import relax
@@ -54,6 +55,12 @@ class Nemo(Formulation):
         "dml"; each of these problems has the whole budget. The repulsion does not act, and a source keeps its position
         if the solver finds nothing better. Relaxation ends early when a sweep lowers the misfit of all sources together
         by no more than 1e-9 of it. With ``refine``, each position is refined. A single source is not relaxed.
+    known_gains: whether the estimator knows the gains and phases of the elements.
+    known_coupling: whether the estimator knows the mutual coupling of the elements.
+    known_noise: whether the estimator knows the covariance of the noise, and whitens the data with it.
+    known_failed: whether the estimator knows which elements have failed, and leaves them out.
+    known_positions: whether the estimator knows the true positions of the elements.
+    amplitude: amplitude over the array that the estimator assumes, "constant", or "spherical", which is r/‖p − q_m‖.
     """
 
     accepts: ClassVar[type[Instance]] = NearFieldInstance
@@ -67,10 +74,16 @@ class Nemo(Formulation):
     stop_below: Annotated[float, Ge(0.0), Lt(math.inf)] | None = None
     refine: bool = False
     relax: Annotated[int, Ge(0)] = 0
+    known_gains: bool = False
+    known_coupling: bool = False
+    known_noise: bool = False
+    known_failed: bool = False
+    known_positions: bool = False
+    amplitude: Amplitude = "constant"
 
     def estimates(self, instance: NearFieldInstance, X: Float[ndarray, "r n"]) -> Float[ndarray, "r 1 d"] | None:
         """Return the estimates of a search for one source; with more sources, or if it may be discarded, None."""
-        single = how_many(instance, self.sources, self.criterion) == 1
+        single = how_many(instance, self.sources, self.criterion, self) == 1
         return None if self.refine or self.stop_below is not None or not single else X[:, None]
 
     def warm_up(self) -> None:
@@ -81,17 +94,17 @@ class Nemo(Formulation):
 
     def reference(self, instance: NearFieldInstance) -> Reference | None:
         """Return the certified minimum of the first problem, RLS of one source to a stated gap."""
-        if how_many(instance, self.sources, self.criterion) == 0:
+        if how_many(instance, self.sources, self.criterion, self) == 0:
             return None
-        manifold = instance.manifold.under(self.wavefront)
-        return certified_first_source(compress(instance.Y), manifold, instance.lower, instance.upper)
+        Y, manifold = calibrated(instance, self)
+        return certified_first_source(compress(Y), manifold, instance.lower, instance.upper)
 
     def solve(self, instance: NearFieldInstance, minimize: Minimize) -> Float[ndarray, "k d"]:
         """Return the sources (K, d) [rad, m] in the order of their detection."""
-        manifold = instance.manifold.under(self.wavefront)
-        data = Y = compress(instance.Y)
+        received, manifold = calibrated(instance, self)
+        data = Y = compress(received)
         detected = np.empty((0, manifold.dimension))  # S_det ← ∅
-        for _ in range(how_many(instance, self.sources, self.criterion)):  # while k ≤ K
+        for _ in range(how_many(instance, self.sources, self.criterion, self)):  # while k ≤ K
             residual = RLS(
                 Y,
                 manifold,
