@@ -81,16 +81,26 @@ ALL = Everything()
 
 def true_manifold(instance: Impaired, amplitude: Amplitude) -> Manifold:
     """Return the responses in white noise of unit power for an estimator that knows all impairments."""
-    return calibrated(instance, Everything(amplitude))[1]
+    return _informed(instance, Everything(amplitude))[1]
 
 
 def calibrated(instance: Impaired, knows: Knowledge) -> tuple[Complex[ndarray, "rows t"], Manifold]:
     """Return the data and the responses W·a(θ) after removing what an estimator knows.
 
-    Rows of failed elements are left out. With the covariance R = L·Lᴴ of the noise, the data are L⁻¹Y and the weights
-    W = L⁻¹ΓC. Where the weights are diagonal and of one modulus, the data are turned instead, Y ← W*Y/|w|, and
-    responses keep the modulus 1.
+    Rows of failed elements are left out, unless their noise is known to be correlated with that of others: then it says
+    something about it. With the covariance R = L·Lᴴ of the noise, the data are L⁻¹Y and the weights W = L⁻¹ΓC. Where
+    the weights are diagonal and of one modulus, the data are turned instead, Y ← W*Y/|w|, and responses keep the
+    modulus 1, which makes no difference to the misfit.
     """
+    Y, manifold = _informed(instance, knows)
+    w = manifold.weights
+    if w is not None and w.ndim == 1 and np.ptp(np.abs(w)) <= EQUAL * np.abs(w).max():
+        return w.conj()[:, None] / np.abs(w).max() * Y, replace(manifold, weights=None)
+    return Y, manifold
+
+
+def _informed(instance: Impaired, knows: Knowledge) -> tuple[Complex[ndarray, "rows t"], Manifold]:
+    """Return L⁻¹Y and the responses L⁻¹ΓC·a(θ), as far as an estimator knows these."""
     Y, manifold = instance.Y, instance.manifold.under(knows.wavefront)
     if knows.amplitude != manifold.amplitude:
         manifold = replace(manifold, amplitude=knows.amplitude)
@@ -99,7 +109,11 @@ def calibrated(instance: Impaired, knows: Knowledge) -> tuple[Complex[ndarray, "
     gains = instance.gains if knows.known_gains else None
     R = instance.noise_covariance if knows.known_noise else None
     C = instance.coupling if knows.known_coupling else None
-    if knows.known_failed and instance.failed:
+    failed = knows.known_failed and bool(instance.failed)
+    if failed and R is not None and not _is_diagonal(R):
+        gains = np.ones(len(Y), dtype=np.complex128) if gains is None else gains.copy()
+        gains[list(instance.failed)] = 0.0
+    elif failed:
         kept = np.delete(np.arange(len(Y)), instance.failed)
         Y = Y[kept]
         gains = None if gains is None else gains[kept]
@@ -111,20 +125,19 @@ def calibrated(instance: Impaired, knows: Knowledge) -> tuple[Complex[ndarray, "
     weights = gains if C is None else C if gains is None else gains[:, None] * C
     if R is not None:
         Y, weights = _whitened(Y, weights, R)
-    if weights is None:
-        return Y, manifold
-    if weights.ndim == 1 and np.ptp(np.abs(weights)) <= EQUAL * np.abs(weights).max():
-        return weights.conj()[:, None] / np.abs(weights).max() * Y, manifold
-    return Y, replace(manifold, weights=weights)
+    return Y, manifold if weights is None else replace(manifold, weights=weights)
+
+
+def _is_diagonal(R: Complex[ndarray, "m m"]) -> bool:
+    return np.count_nonzero(R) == np.count_nonzero(np.diag(R))
 
 
 def _whitened(
     Y: Complex[ndarray, "m t"], weights: Complex[ndarray, "m ..."] | None, R: Complex[ndarray, "m m"]
 ) -> tuple[Complex[ndarray, "m t"], Complex[ndarray, "m ..."]]:
     """Return L⁻¹Y and L⁻¹W with R = L·Lᴴ; a diagonal R keeps a diagonal W diagonal."""
-    diagonal = np.diag(R).real
-    if np.count_nonzero(R) == np.count_nonzero(diagonal):
-        scale = 1 / np.sqrt(diagonal)
+    if _is_diagonal(R):
+        scale = 1 / np.sqrt(np.diag(R).real)
         if weights is None:
             return scale[:, None] * Y, scale.astype(np.complex128)
         return scale[:, None] * Y, weights * (scale if weights.ndim == 1 else scale[:, None])

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
 __all__ = ["choose_greedily", "choose_replacement", "inverse_curvature", "local_search"]
 
+SAME_LOBE = 0.3  # squared correlation of two responses above which they are in one lobe
 LEAST = 1e-8  # squared distance of a candidate from the span of the others, relative to its own, below which it is none
 SINGULAR = 1e-8  # singular value of A, relative to the greatest, below which it is 0
 APART = 1e-10  # least pivot of AᴴA from which standard errors are computed
@@ -35,15 +36,23 @@ ROUNDING = 1e-30  # decrease of J, relative to ‖F‖², below which J is only 
 FLAT = 1e-14  # least curvature, relative to the greatest
 
 
-def choose_greedily(grid: ResponseGrid, F: Complex[ndarray, "m c"], sources: int) -> list[int]:
-    """Return the indices of points of a grid, each where it lowers J most given those before."""
-    chosen: list[int] = []
-    A = np.empty((0, len(F)), dtype=np.complex128)
-    for _ in range(sources):
-        best, a = _best(grid, F, A)
-        chosen.append(best)
-        A = np.vstack([A, a])
-    return chosen
+def choose_greedily(grid: ResponseGrid, F: Complex[ndarray, "m c"], sources: int, starts: int) -> list[list[int]]:
+    """Return indices of points of a grid, each where it lowers J most given those before.
+
+    There are as many choices as ``starts``. The first begins with the best point, the second with the best one outside
+    its lobe, and so on.
+    """
+    nothing = np.empty((0, len(F)), dtype=np.complex128)
+    choices, firsts = [], nothing
+    for _ in range(starts):
+        first, a = _best(grid, F, nothing, avoided=firsts)
+        firsts, A, chosen = np.vstack([firsts, a]), a[None], [first]
+        while len(chosen) < sources:
+            best, a = _best(grid, F, A)
+            chosen.append(best)
+            A = np.vstack([A, a])
+        choices.append(chosen)
+    return choices
 
 
 def choose_replacement(
@@ -59,9 +68,12 @@ def choose_replacement(
 
 
 def _best(
-    grid: ResponseGrid, F: Complex[ndarray, "m c"], others: Complex[ndarray, "k m"]
+    grid: ResponseGrid,
+    F: Complex[ndarray, "m c"],
+    others: Complex[ndarray, "k m"],
+    avoided: Complex[ndarray, "k m"] | None = None,
 ) -> tuple[int, Complex[ndarray, " m"]]:
-    """Return the point of a grid with the greatest gain ‖F⊥ᴴa‖²/‖P⊥a‖², and its response."""
+    """Return the point of a grid with the greatest gain ‖F⊥ᴴa‖²/‖P⊥a‖², outside some lobes, and its response."""
     Q = orthonormalize(others[None], LEAST)[0][0]
     remaining = F - Q.T @ (Q.conj() @ F)
     best, highest, response = 0, -1.0, np.empty(0)
@@ -70,6 +82,8 @@ def _best(
         left = size - squared_lengths(B.conj() @ Q.T)
         explained = squared_lengths(B.conj() @ remaining)
         gain = np.divide(explained, left, out=np.zeros_like(left), where=left > LEAST * size)
+        for a in () if avoided is None else avoided:
+            gain[np.abs(B.conj() @ a) ** 2 > SAME_LOBE * size * np.vdot(a, a).real] = 0.0
         i = int(np.argmax(gain))
         if gain[i] > highest:
             best, highest, response = first + i, float(gain[i]), B[i]

@@ -17,6 +17,11 @@ SAME_LOBE = 0.3
 
 A local search from there ends where the source is."""
 
+STARTS = 3
+"""First points of the greedy choice where responses have another modulus than 1.
+
+Prewhitening and coupling can make the response of a place between two sources the one that explains most."""
+
 
 def search_greedily(F: Complex[ndarray, "m c"], grid: ResponseGrid, sources: int, sweeps: int) -> LocalMinimum:
     """Return a minimizer of J = ‖(I − P_A)F‖² within the box of the grid.
@@ -57,10 +62,11 @@ def search_greedily(F: Complex[ndarray, "m c"], grid: ResponseGrid, sources: int
 
 
 def _search_generally(F: Complex[ndarray, "m c"], grid: ResponseGrid, sources: int, sweeps: int) -> LocalMinimum:
-    """Do the same for responses of any modulus."""
+    """Do the same for responses of any modulus, from the best of some greedy choices."""
     F = compress(F) if F.shape[1] > F.shape[0] else F
     manifold, box, d = grid.manifold, (grid.manifold, grid.lower, grid.upper), grid.manifold.dimension
-    best = search_locally(F, *box, grid.points[general.choose_greedily(grid, F, sources)].ravel())
+    choices = general.choose_greedily(grid, F, sources, STARTS)
+    best = min((search_locally(F, *box, grid.points[chosen].ravel()) for chosen in choices), key=lambda at: at.value)
     for _ in range(sweeps):
         before = best
         for k in range(sources):
