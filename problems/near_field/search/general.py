@@ -7,7 +7,8 @@ and the standard errors from the curvature.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, NamedTuple
+from collections.abc import Callable, Iterator
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Complex, Float
@@ -17,10 +18,10 @@ from ..bounds import information_root
 from ..objectives.general_fit import orthonormalize, squared_lengths
 from ..wavefronts import Manifold
 
-if TYPE_CHECKING:
-    from .grid import ResponseGrid
-
 __all__ = ["choose_greedily", "choose_replacement", "inverse_curvature", "local_search"]
+
+Responses: TypeAlias = Callable[[], Iterator[tuple[int, ndarray]]]
+"""Yields the responses of a grid in blocks, one per row, each with the index of its first point."""
 
 SAME_LOBE = 0.3  # squared correlation of two responses above which they are in one lobe
 LEAST = 1e-8  # squared distance of a candidate from the span of the others, relative to its own, below which it is none
@@ -36,7 +37,7 @@ ROUNDING = 1e-30  # decrease of J, relative to ‖F‖², below which J is only 
 FLAT = 1e-14  # least curvature, relative to the greatest
 
 
-def choose_greedily(grid: ResponseGrid, F: Complex[ndarray, "m c"], sources: int, starts: int) -> list[list[int]]:
+def choose_greedily(responses: Responses, F: Complex[ndarray, "m c"], sources: int, starts: int) -> list[list[int]]:
     """Return indices of points of a grid, each where it lowers J most given those before.
 
     There are as many choices as ``starts``. The first begins with the best point, the second with the best one outside
@@ -45,10 +46,10 @@ def choose_greedily(grid: ResponseGrid, F: Complex[ndarray, "m c"], sources: int
     nothing = np.empty((0, len(F)), dtype=np.complex128)
     choices, firsts = [], nothing
     for _ in range(starts):
-        first, a = _best(grid, F, nothing, avoided=firsts)
+        first, a = _best(responses, F, nothing, avoided=firsts)
         firsts, A, chosen = np.vstack([firsts, a]), a[None], [first]
         while len(chosen) < sources:
-            best, a = _best(grid, F, A)
+            best, a = _best(responses, F, A)
             chosen.append(best)
             A = np.vstack([A, a])
         choices.append(chosen)
@@ -56,19 +57,19 @@ def choose_greedily(grid: ResponseGrid, F: Complex[ndarray, "m c"], sources: int
 
 
 def choose_replacement(
-    grid: ResponseGrid, F: Complex[ndarray, "m c"], A: Complex[ndarray, "k m"], k: int
+    responses: Responses, F: Complex[ndarray, "m c"], A: Complex[ndarray, "k m"], k: int
 ) -> tuple[int, float]:
     """Return the best point of a grid in the place of source k, given the others, and its squared correlation with k.
 
     A: responses of the sources, one per row.
     """
-    best, a = _best(grid, F, np.delete(A, k, axis=0))
+    best, a = _best(responses, F, np.delete(A, k, axis=0))
     lengths = np.vdot(a, a).real * np.vdot(A[k], A[k]).real
     return best, float(abs(np.vdot(a, A[k])) ** 2 / lengths)
 
 
 def _best(
-    grid: ResponseGrid,
+    responses: Responses,
     F: Complex[ndarray, "m c"],
     others: Complex[ndarray, "k m"],
     avoided: Complex[ndarray, "k m"] | None = None,
@@ -77,7 +78,7 @@ def _best(
     Q = orthonormalize(others[None], LEAST)[0][0]
     remaining = F - Q.T @ (Q.conj() @ F)
     best, highest, response = 0, -1.0, np.empty(0)
-    for first, B in grid.responses():
+    for first, B in responses():
         size = squared_lengths(B)
         left = size - squared_lengths(B.conj() @ Q.T)
         explained = squared_lengths(B.conj() @ remaining)

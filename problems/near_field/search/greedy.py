@@ -65,12 +65,12 @@ def _search_generally(F: Complex[ndarray, "m c"], grid: ResponseGrid, sources: i
     """Do the same for responses of any modulus, from the best of some greedy choices."""
     F = compress(F) if F.shape[1] > F.shape[0] else F
     manifold, box, d = grid.manifold, (grid.manifold, grid.lower, grid.upper), grid.manifold.dimension
-    choices = general.choose_greedily(grid, F, sources, STARTS)
+    choices = general.choose_greedily(grid.responses, F, sources, STARTS)
     best = min((search_locally(F, *box, grid.points[chosen].ravel()) for chosen in choices), key=lambda at: at.value)
     for _ in range(sweeps):
         before = best
         for k in range(sources):
-            point, alike = general.choose_replacement(grid, F, manifold.response(best.x.reshape(-1, d)), k)
+            point, alike = general.choose_replacement(grid.responses, F, manifold.response(best.x.reshape(-1, d)), k)
             if alike >= SAME_LOBE:
                 continue
             x = best.x.copy()
