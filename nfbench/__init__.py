@@ -45,6 +45,7 @@ from .core import (
     SolverInfo,
     Status,
     StoreError,
+    Survey,
     Trace,
     Tune,
     minimize,
@@ -91,14 +92,17 @@ __all__ = [
     "Status",
     "StoreError",
     "Study",
+    "Survey",
     "Trace",
     "Tune",
     "combined_info",
     "compiled",
     "load_kernels",
     "load_study",
+    "localize",
     "minimize",
     "nested_solver",
+    "procedure",
     "run",
     "run_part",
     "solver",
@@ -107,7 +111,7 @@ __all__ = [
 
 if TYPE_CHECKING:
     from .core.jit import compiled, load_kernels
-    from .execution import run
+    from .execution import localize, procedure, run
     from .plugins import NestedSolver, combined_info, nested_solver, run_part, solver_of
     from .results import Results
     from .study import Study, load_study
@@ -120,7 +124,9 @@ _PACKAGES = {
     "compiled": "core.jit",
     "load_kernels": "core.jit",
     "load_study": "study",
+    "localize": "execution",
     "nested_solver": "plugins",
+    "procedure": "execution",
     "run": "execution",
     "run_part": "plugins",
     "solver_of": "plugins",

@@ -11,7 +11,13 @@ from rich.console import Console
 from nfbench import __version__
 from nfbench.core import NfbenchError, printable
 
-from . import plugin_commands, results_commands, study_commands, tune_command  # noqa: F401  # importing them registers the commands
+from . import (  # noqa: F401  # importing them registers the commands
+    localize_command,
+    plugin_commands,
+    results_commands,
+    study_commands,
+    tune_command,
+)
 from .common import INTERRUPTED, USAGE, app
 from .streams import tolerant_streams
 

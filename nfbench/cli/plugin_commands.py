@@ -43,11 +43,12 @@ class YesNo(StrEnum):
 
 
 class One(StrEnum):
-    """The kinds of plugins that ``nfbench show`` accepts."""
+    """What ``nfbench show`` accepts: the kinds of plugins, and arrays."""
 
     SOLVER = "solver"
     FORMULATION = "formulation"
     SCENARIO = "scenario"
+    ARRAY = "array"
 
 
 @app.command("list")
@@ -94,11 +95,34 @@ def list_plugins(
 
 @app.command()
 def show(
-    kind: Annotated[One, typer.Argument(metavar="KIND", help="solver, formulation or scenario.")],
-    name: Annotated[str, typer.Argument(metavar="NAME", help="A registered name, e.g. de.")],
+    kind: Annotated[One, typer.Argument(metavar="KIND", help="solver, formulation, scenario or array.")],
+    name: Annotated[
+        str,
+        typer.Argument(
+            metavar="NAME",
+            help="A registered name, e.g. de. Of an array: a file with positions, a kind, or a manifest.",
+        ),
+    ],
     plugin: Plugins = None,
+    frequency_hz: Annotated[float | None, typer.Option(help="Array: frequency of the waves [Hz].")] = None,
+    speed: Annotated[float | None, typer.Option(help="Array: speed of the waves [m/s], e.g. 299792458 or 343.")] = None,
+    wavelength_m: Annotated[float | None, typer.Option(help="Array: wavelength [m], in place of a frequency.")] = None,
+    unit: Annotated[str | None, typer.Option(help="Array: unit of the positions in a file, e.g. mm.")] = None,
+    variable: Annotated[str | None, typer.Option(help="Array: name of the positions in a .mat or .npz file.")] = None,
+    broadside: Annotated[str | None, typer.Option(help="Array: direction in front, e.g. +z or [0,1,1].")] = None,
+    up: Annotated[str | None, typer.Option(help="Array: direction upwards, e.g. +y.")] = None,
+    option: GivenOptions = None,
+    out: Annotated[Path | None, typer.Option(metavar="FILE", help="Array: .svg, .png or .pdf file to draw.")] = None,
 ) -> None:
-    """Show one solver, formulation or scenario: its description, and every option with its default."""
+    """Show one solver, formulation or scenario with all its options, or describe and draw an array."""
+    from .array_command import ArrayOptions, show_array
+
+    given = ArrayOptions(frequency_hz, speed, wavelength_m, unit, variable, broadside, up, option, out)
+    if kind is One.ARRAY:
+        show_array(name, given, plugin or ())
+        return
+    if not given.is_empty:
+        raise typer.BadParameter(f"these options describe an array, but got KIND {kind}", param_hint="KIND")
     from nfbench.plugins import Registry
 
     from .catalogue import print_plugin

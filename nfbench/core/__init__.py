@@ -45,6 +45,7 @@ from .reference import Reference
 from .scenario import Extra, Instance, ProblemInstance, Scenario
 from .solver import AskTell, AskTellSolver, Solver, SolverInfo
 from .status import Status
+from .survey import Survey
 from .text import printable
 from .trace import MAX_ROWS, Trace
 
@@ -86,6 +87,7 @@ __all__ = [
     "SolverInfo",
     "Status",
     "StoreError",
+    "Survey",
     "TargetOption",
     "TargetTable",
     "Trace",

@@ -16,7 +16,9 @@ import inspect
 import os
 import pickle
 import shutil
+import signal
 import sys
+import threading
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import FunctionType
@@ -36,6 +38,7 @@ _F = TypeVar("_F", bound=Callable[..., Any])
 
 _caching: Any = numba.core.caching  # it has types in some versions only
 _CHECKSUM = hashlib.sha256().digest_size
+FEW = 4  # kernels from which a second process helps to compile
 _KEPT = 4  # folders per module, so that Python environments and types of processors may share a file system
 
 _REMEDY = "set NUMBA_CACHE_DIR to a writable folder, or reinstall numba and llvmlite"
@@ -68,19 +71,43 @@ def load_kernels(kernels: Sequence[tuple[Any, tuple[Any, ...]]], message: str) -
     """Load each (kernel, signature) from the cache, or compile it; nothing is compiled for these kernels after this.
 
     ``message`` is printed on stderr once the first of them, which should be the quickest, turns out not to be in the
-    cache. Raises NfbenchError where Numba cannot compile.
+    cache. A second process then compiles from the other end of the list. Raises NfbenchError where compiling fails.
     """
+    helper = 0
     try:
         for number, (kernel, signature) in enumerate(kernels):
             kernel.compile(signature)
             kernel.disable_compile()
             if number == 0 and kernel.stats.cache_misses:
                 print(f"nfbench: {message} …", file=sys.stderr, flush=True)
+                helper = _compile_backwards(kernels) if len(kernels) >= FEW else 0
     except (numba.core.errors.NumbaError, OSError, RuntimeError) as error:
         raise NfbenchError(
             f"kernels: Numba {numba.__version__} cannot compile here: {error}; compiled code is kept in "
             f"{getattr(kernel, '_cache', None) and kernel._cache.cache_path}; {_REMEDY}"
         ) from error
+    finally:
+        if helper:  # all is compiled, or nothing can be; what it has written so far is complete
+            os.kill(helper, signal.SIGKILL)
+            os.waitpid(helper, 0)
+
+
+def _compile_backwards(kernels: Sequence[tuple[Any, tuple[Any, ...]]]) -> int:
+    """Compile into the cache in a copy of this process, from the last kernel; returns its number, 0 if there is none.
+
+    It ends at the first kernel that it finds in the cache.
+    """
+    if sys.platform != "linux" or len(os.sched_getaffinity(0)) < 2 or threading.active_count() > 1:
+        return 0
+    if child := os.fork():
+        return child
+    try:
+        for kernel, signature in reversed(kernels):
+            kernel.compile(signature)
+            if kernel.stats.cache_hits:
+                break
+    finally:  # whatever happens here, the other process compiles what is missing
+        os._exit(0)
 
 
 # ------------------------------------------------------------------------------------------------- the cache folder

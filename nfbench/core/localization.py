@@ -38,9 +38,11 @@ class Localization:
     fit: numbers that say how well the estimate explains the data, by their names.
     warnings: sentences about what does not fit, each with a remedy.
     picture: positions to draw; None if there is nothing to draw.
+    notes: sentences about how the data were read, which are no warnings.
     """
 
     sources: tuple[Mapping[str, float], ...]
     fit: Mapping[str, float] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
     picture: Picture | None = None
+    notes: tuple[str, ...] = ()

@@ -18,6 +18,7 @@ import difflib
 import functools
 import inspect
 import math
+import os
 import reprlib
 import typing
 from collections.abc import Iterable, Iterator, Mapping
@@ -50,6 +51,7 @@ T = TypeVar("T", bound="Options")
 _known_adapters: dict[type, dict[str, TypeAdapter[Any]]] = {}
 _folder: contextvars.ContextVar[Path | None] = contextvars.ContextVar("folder", default=None)
 
+DATA_FOLDER = "NFBENCH_DATA"  # environment variable with a folder in which files of options are looked for
 DEPTH = 32  # lists and tables nested deeper than this are refused
 SUGGESTIONS = 50  # unknown options for which the nearest known name is looked up, which takes 0.2 ms each
 
@@ -58,7 +60,9 @@ SUGGESTIONS = 50  # unknown options for which the nearest known name is looked u
 class Options:
     """Base class of everything that has options. Subclass it as a frozen dataclass.
 
-    Override ``validate`` to check rules that involve more than one field.
+    Override ``validate`` to check rules that involve more than one field. The place of a file should not be part of the
+    identity of a run: declare it as ``path: FilePath = field(metadata={"identifies": False})``, and set another option
+    to a hash of the content in ``validate``.
     """
 
     def __post_init__(self) -> None:
@@ -127,13 +131,13 @@ def canonical(value: Any, *, defaults: bool = True) -> Any:
     """Convert an option or an Options object to plain data: dicts, lists, strings and numbers.
 
     defaults: whether to include options that have their default value, at every depth. Without them, the data do not
-    change when a class gains an option.
+    change when a class gains an option. Options with the metadata ``{"identifies": False}`` are left out too.
     """
     plain = functools.partial(canonical, defaults=defaults)
     if isinstance(value, PluginOption):
         return {"kind": value.kind, **plain(value.made)}
     if isinstance(value, Options):
-        shown = [f for f in dataclasses.fields(value) if f.init and (defaults or not _at_default(value, f))]
+        shown = [f for f in dataclasses.fields(value) if f.init and (defaults or _identifies(value, f))]
         table = {f.name: plain(getattr(value, f.name)) for f in shown}
         kind = getattr(type(value), "kind", None)
         return {"kind": kind, **table} if isinstance(kind, str) else table
@@ -142,6 +146,10 @@ def canonical(value: Any, *, defaults: bool = True) -> Any:
     if isinstance(value, list | tuple):
         return [plain(item) for item in value]
     return value
+
+
+def _identifies(made: Options, field: dataclasses.Field[Any]) -> bool:
+    return field.metadata.get("identifies", True) and not _at_default(made, field)
 
 
 def _at_default(made: Options, field: dataclasses.Field[Any]) -> bool:
@@ -198,7 +206,8 @@ class OneOf:
     """Annotation of a field that holds an object of one of several Options classes, selected by ``kind``.
 
     ``array: Annotated[Array, OneOf(ULA, UPA)]`` accepts ``{"kind": "ula", "elements": 128}`` or a ``ULA`` object.
-    Each class defines its name in the class variable ``kind``.
+    Each class defines its name in the class variable ``kind``. A ``label`` in a table names it in the tables and
+    figures of a study that sweeps it, and has no effect on the object.
     """
 
     def __init__(self, *classes: type[Options]) -> None:
@@ -219,7 +228,8 @@ class OneOf:
             hint = suggest(kind, self.classes) if isinstance(kind, str) else f"; known: {', '.join(self.classes)}"
             problem = "is required" if kind is None else f"unknown kind {_shown(kind)}"
             raise OptionError("", [("kind", f"{problem}{hint}")])
-        return build(self.classes[kind], {name: item for name, item in value.items() if name != "kind"})
+        table = {name: item for name, item in value.items() if name != "kind"}
+        return build(self.classes[kind], _without_label(self.classes[kind], table))
 
 
 @contextlib.contextmanager
@@ -235,18 +245,23 @@ def relative_to(folder: Path) -> Iterator[None]:
 def _resolve(path: str) -> str:
     resolved = (_folder.get() or Path()) / path
     try:
+        if (elsewhere := os.environ.get(DATA_FOLDER)) and not resolved.exists():
+            resolved = Path(elsewhere) / path
         is_file, exists = resolved.is_file(), resolved.exists()
     except OSError as error:  # e.g. a name that is too long, or a folder without permission
         raise ValueError(f"cannot be read: {error.strerror}: {_shown(str(resolved))}") from error
     if exists and not is_file:
         raise ValueError(f"expected a regular file, got a folder or device: {resolved}")
     if not is_file:
-        raise ValueError(f"no such file: {resolved}")
+        raise ValueError(f"no such file: {resolved}; correct the path, or set {DATA_FOLDER} to the folder")
     return str(resolved)
 
 
 FilePath = Annotated[str, AfterValidator(_resolve)]
-"""An option that is the path of an existing file, absolute or relative to the manifest's folder."""
+"""An option that is the path of an existing file, absolute or relative to the manifest's folder.
+
+A file that is not there is looked for in the folder that the environment variable ``NFBENCH_DATA`` names.
+"""
 
 
 def _adapters(cls: type[Options]) -> dict[str, TypeAdapter[Any]]:
@@ -263,6 +278,8 @@ def _schema(hint: Any) -> Any:
     marks = [mark for mark in getattr(hint, "__metadata__", ()) if isinstance(mark, OneOf | PlainValidator)]
     if isinstance(hint, type) and issubclass(hint, Options):
         return Annotated[Any, PlainValidator(functools.partial(_table, hint))]
+    if typing.get_origin(hint) is tuple:  # of tables, too
+        return tuple[tuple(part if part is ... else _schema(part) for part in typing.get_args(hint))]  # type: ignore[misc]
     return Annotated[Any, marks[0]] if marks else hint
 
 
@@ -273,7 +290,16 @@ def _table(cls: type[Options], value: Any) -> Options:
     if not isinstance(value, Mapping):
         names = ", ".join(f.name for f in dataclasses.fields(cls))
         raise ValueError(f"expected a table ({names}), got {_shown(value)}")
-    return build(cls, value)
+    return build(cls, _without_label(cls, value))
+
+
+def _without_label(cls: type[Options], table: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return a table without its ``label``, which is not an option, unless the class has such an option."""
+    if "label" not in table or any(field.name == "label" for field in dataclasses.fields(cls)):
+        return table
+    if not isinstance(table["label"], str):
+        raise OptionError("", [("label", f"expected a string, got {_shown(table['label'])}")])
+    return {name: item for name, item in table.items() if name != "label"}
 
 
 def _checked(cls: type[Options], name: str, value: Any) -> tuple[Any, list[tuple[str, str]]]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy import ndarray
@@ -13,6 +13,7 @@ from numpy import ndarray
 from .localization import Localization
 from .options import Options
 from .problem import Problem
+from .survey import Survey
 
 __all__ = ["Extra", "Instance", "ProblemInstance", "Scenario"]
 
@@ -38,10 +39,12 @@ class Instance(ABC):
         return np.array([self.score(estimate)[measure] for estimate in estimates], dtype=np.float64)
 
     def positions(self, estimate: ndarray) -> tuple[ndarray, ndarray] | None:
-        """Return the true and the estimated positions of the sources for figures: two arrays (K, 3), Cartesian [m].
+        """Return the true and the estimated positions of the sources for ``positions.csv`` and figures, Cartesian [m].
 
-        Row k of the second array is the estimate assigned to source k, or NaN if no estimate is assigned to it. The
-        default is None, which means that there are no positions to show.
+        These are two arrays, of shape (K, 3) and with at least K rows. Row k of the second one is the estimate assigned
+        to source k, or NaN if no estimate is assigned to it. Rows beyond K are the estimates that are assigned to no
+        source. The default is None, which means that there are no positions to show. It is called for estimates whose
+        ``score`` is valid.
         """
         return None
 
@@ -94,6 +97,13 @@ class Scenario(Options, ABC):
     def warm_up(self) -> None:
         """Compile or load what the runs need. It is called before the first run, so that no run time includes it."""
 
+    def ranked_by(self) -> str:
+        """Return the name of the score by which methods are ranked with these options; the default is ``error``.
+
+        Override it if that score exists only with some options, for example if the true sources may not be known.
+        """
+        return self.error
+
     def needed_extra(self) -> Extra | None:
         """Return the optional library that the scenario needs with these options. The default is None."""
         return None
@@ -107,6 +117,24 @@ class Scenario(Options, ABC):
         """
         return []
 
+    @classmethod
+    def survey(cls, options: Mapping[str, Any]) -> Survey | None:
+        """Return what is worth knowing about the array in some options of the scenario, for ``nfbench show array``.
+
+        options: ``array`` and what determines the wavelength, as in a manifest; other options may be missing.
+
+        Raise OptionError if they are invalid. The default is None, which means that the scenario has no array.
+        """
+        return None
+
     @abstractmethod
     def draw(self, rng: np.random.Generator) -> Instance:
         """Draw one instance. All randomness must come from ``rng``."""
+
+    def draw_scene(self, rng: np.random.Generator, number: int) -> Instance:
+        """Draw the scene of this number of a study, from 0. The default is ``draw(rng)``, whatever the number.
+
+        Override it if scenes are enumerated rather than drawn, such as the segments of a recording. ``rng`` is that of
+        the scene's seed, and all randomness must come from it.
+        """
+        return self.draw(rng)

@@ -8,14 +8,30 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from .compile_ahead import warm_up
     from .engine import RunAll, ordered_runner, run_specs
+    from .localization import Procedure, localize, procedure, recommended
     from .run_study import Listener, run
 
-__all__ = ["Listener", "RunAll", "ordered_runner", "run", "run_specs", "warm_up"]
+__all__ = [
+    "Listener",
+    "Procedure",
+    "RunAll",
+    "localize",
+    "ordered_runner",
+    "procedure",
+    "recommended",
+    "run",
+    "run_specs",
+    "warm_up",
+]
 
 _MODULES = {
     "Listener": "run_study",
+    "Procedure": "localization",
     "RunAll": "engine",
+    "localize": "localization",
     "ordered_runner": "engine",
+    "procedure": "localization",
+    "recommended": "localization",
     "run": "run_study",
     "run_specs": "engine",
     "warm_up": "compile_ahead",

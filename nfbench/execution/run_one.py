@@ -29,7 +29,7 @@ from nfbench.plugins import Registry
 from nfbench.study import PluginSpec, RunRecord, RunSpec
 
 from .stopping import Stopping
-from .storable import Unstorable, plain_columns, plain_estimate, plain_reference, plain_scores
+from .storable import Unstorable, plain_columns, plain_estimate, plain_positions, plain_reference, plain_scores
 
 __all__ = ["execute"]
 
@@ -81,6 +81,7 @@ class _Attempt:
         self.minima: list[Minimum] = []
         self.scores: dict[str, float] = {}
         self.estimate: list[Any] | None = None
+        self.positions: tuple[list[list[float]], list[list[float]]] | None = None
         self.optimum: Any = None  # known minimum of the first problem
         self.runtime_s = self.cpu_s = math.nan
 
@@ -95,7 +96,7 @@ class _Attempt:
         if solver:
             solver.warm_up()
         formulation.warm_up()
-        instance = scenario.draw(np.random.default_rng(self.spec.instance_seed))
+        instance = scenario.draw_scene(np.random.default_rng(self.spec.instance_seed), self.spec.scene)
 
         stopping = Stopping(budget.target if budget else None, scenario, formulation, instance)
 
@@ -126,8 +127,10 @@ class _Attempt:
         except ValueError as error:
             raise _Ended(Status.INVALID, f"estimate: {error}") from error
         self.scores |= plain_columns(columns, self.scores)
-        if estimate.size and math.isnan(self.scores.get(scenario.error, math.nan)):
-            raise _Ended(Status.INVALID, f"{scenario.error} of the estimate is NaN")
+        measure = scenario.ranked_by()
+        if estimate.size and math.isnan(self.scores.get(measure, math.nan)):
+            raise _Ended(Status.INVALID, f"{measure} of the estimate is NaN")
+        self.positions = plain_positions(instance.positions(estimate))
         return Status.OK, "; ".join(minimum.message for minimum in self.minima if minimum.message)
 
     def record(self, status: Status, message: str) -> RunRecord:
@@ -143,6 +146,7 @@ class _Attempt:
             cpu_s=self.cpu_s,
             scores={**self.scores, **self.facts(status)},
             estimate=self.estimate,
+            positions=self.positions,
             traces=tuple(minimum.trace.thinned(max(MAX_ROWS // len(minima), 2)) for minimum in minima),
         )
 
@@ -178,7 +182,7 @@ class _Proof:
     def run(self) -> tuple[Status, str]:
         scenario = self.registry.make("scenario", *_available(self.spec.point.scenario))
         formulation = self.registry.make("formulation", *_available(self.spec.method.formulation))
-        instance = scenario.draw(np.random.default_rng(self.spec.instance_seed))
+        instance = scenario.draw_scene(np.random.default_rng(self.spec.instance_seed), self.spec.scene)
         wall, cpu = time.perf_counter(), time.process_time()
         try:
             found = formulation.reference(instance)

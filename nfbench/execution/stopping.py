@@ -22,7 +22,7 @@ class Stopping:
 
     def __init__(self, target: Any, scenario: Scenario, formulation: Formulation, instance: Instance) -> None:
         self.table = target if isinstance(target, TargetTable) else None
-        self.measure, self.formulation, self.instance = scenario.error, formulation, instance
+        self.measure, self.formulation, self.instance = scenario.ranked_by(), formulation, instance
         self.limit = self.table.value if self.table else math.nan
         if self.table and self.table.kind == "error_in_bounds":
             bounds: Callable[[], dict[str, float]] = getattr(instance, "bounds", dict)

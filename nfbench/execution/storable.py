@@ -12,10 +12,19 @@ import numpy as np
 
 from nfbench.core import Reference, printable
 
-__all__ = ["PROVEN", "RESERVED", "Unstorable", "plain_columns", "plain_estimate", "plain_reference", "plain_scores"]
+__all__ = [
+    "PROVEN",
+    "RESERVED",
+    "Unstorable",
+    "plain_columns",
+    "plain_estimate",
+    "plain_positions",
+    "plain_reference",
+    "plain_scores",
+]
 
 LARGEST = 100_000  # numbers in an estimate
-MOST_SCORES = 1_000
+MOST_SCORES = 10_000  # those of 1,000 sources in space are about 8,000
 NAME_LENGTH = 64
 RESERVED = frozenset(
     (
@@ -46,6 +55,20 @@ def plain_estimate(found: Any) -> np.ndarray:
     if estimate.size > LARGEST:
         raise Unstorable(f"estimate: expected at most {LARGEST:,} numbers, got {estimate.size:,}")
     return estimate.astype(np.float64) if estimate.dtype.kind == "f" else estimate
+
+
+def plain_positions(found: Any) -> tuple[list[list[float]], list[list[float]]] | None:
+    """True and estimated positions as lists of points, None if there are none. Raises Unstorable for anything else."""
+    if found is None:
+        return None
+    if not isinstance(found, tuple | list) or len(found) != 2:
+        raise Unstorable(f"positions: expected two arrays or None, got {type(found).__name__}")
+    truth, estimated = (plain_estimate(part).astype(np.float64) for part in found)
+    if truth.ndim != 2 or estimated.ndim != 2 or truth.shape[1] != 3 or estimated.shape[1] != 3:
+        raise Unstorable(f"positions: expected two arrays of points (x, 3), got {truth.shape} and {estimated.shape}")
+    if len(estimated) < len(truth):
+        raise Unstorable(f"positions: expected at least {len(truth)} estimates, one per source, got {len(estimated)}")
+    return truth.tolist(), estimated.tolist()
 
 
 def plain_reference(found: Reference) -> tuple[float, dict[str, float], np.ndarray | None]:

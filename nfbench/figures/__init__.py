@@ -18,6 +18,7 @@ from matplotlib.figure import Figure
 from nfbench.core import NfbenchError
 from nfbench.results import Results
 
+from .array import write_array_figure
 from .attainment import attainment_figure
 from .convergence import convergence_figure
 from .data import Drawn, drawn
@@ -25,13 +26,25 @@ from .distribution import distribution_figure
 from .drawing import KINDS, Drawing, Kind, NotDrawnError
 from .error import error_figures
 from .expected_cost import ert_figure
+from .localization import localization_figure, write_localization_figure
 from .positions import few_enough, position_figures
 from .ranks import ranks_figure
 from .runtime import runtime_figure
 from .style import styled
 from .tradeoff import spread_of_costs, tradeoff_figure
 
-__all__ = ["FORMATS", "KINDS", "Drawing", "Kind", "figures", "styled", "write_figures"]
+__all__ = [
+    "FORMATS",
+    "KINDS",
+    "Drawing",
+    "Kind",
+    "figures",
+    "localization_figure",
+    "styled",
+    "write_array_figure",
+    "write_figures",
+    "write_localization_figure",
+]
 
 FORMATS: dict[str, dict[str, Any]] = {  # metadata; None drops what changes with the date or version
     "svg": {"Date": None, "Creator": "nfbench"},

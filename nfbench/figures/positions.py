@@ -17,7 +17,7 @@ from numpy import ndarray
 
 from nfbench.core import NfbenchError, Scenario, Status, explain
 from nfbench.results import Results, cell
-from nfbench.study import load_scenarios
+from nfbench.study import load_scenarios, scene_numbers
 
 from .axes import legend_below, new_figure
 from .data import Drawn, key_of
@@ -67,6 +67,7 @@ def position_figures(
     stored seeds. Of plugin files, only ``plugins`` are imported, whatever the manifest names. Raises NfbenchError if
     that is not possible, or gives instances other than those of the runs.
     """
+    numbers = scene_numbers(manifest)
     scenarios = {_key(swept.items()): scenario for swept, scenario in load_scenarios(manifest, plugins)}
     estimates = dict(results.estimates())
     for part in study.by(study.swept):
@@ -76,7 +77,7 @@ def position_figures(
                 f"{manifest}: expected the scenario of the runs, found none with {named(part) or 'no sweep'}"
             )
         try:
-            places = _redrawn(part, scenario, estimates)
+            places = _redrawn(part, scenario, numbers, estimates)
         except NfbenchError:
             raise
         except Exception as error:  # of the scenario, which may be a plugin's or meet estimates that are not its own
@@ -90,7 +91,7 @@ def _key(swept: Iterable[tuple[str, Any]]) -> frozenset[tuple[str, Any]]:
     return frozenset((key, cell(value)) for key, value in swept)
 
 
-def _redrawn(part: Drawn, scenario: Scenario, estimates: dict[str, Any]) -> _Places | None:
+def _redrawn(part: Drawn, scenario: Scenario, numbers: dict[int, int], estimates: dict[str, Any]) -> _Places | None:
     """Redraw the instances of one point, and match the estimates to them; None if they have no positions."""
     runs = part.runs[part.runs["status"] == Status.OK]
     shown = sorted(runs["repetition"].unique())[:REPETITIONS]
@@ -98,7 +99,8 @@ def _redrawn(part: Drawn, scenario: Scenario, estimates: dict[str, Any]) -> _Pla
     found: dict[str, list[ndarray]] = {name: [] for name in part.methods}
     for repetition in shown:
         same = runs[runs["repetition"] == repetition]
-        instance = scenario.draw(np.random.default_rng(int(same["instance_seed"].iloc[0])))
+        seed = int(same["instance_seed"].iloc[0])
+        instance = scenario.draw_scene(np.random.default_rng(seed), numbers.get(seed, 0))
         matched = {}
         for run in same.to_dict("records"):
             estimate = np.array(estimates[run["run_id"]], dtype=np.float64)
@@ -111,7 +113,7 @@ def _redrawn(part: Drawn, scenario: Scenario, estimates: dict[str, Any]) -> _Pla
             placed = instance.positions(estimate)
             if placed is None:
                 return None
-            truth, matched[run["method"]] = placed
+            truth, matched[run["method"]] = placed[0], placed[1][: len(placed[0])]
         truths.append(truth)
         for name, places in found.items():
             places.append(matched.get(name, np.full_like(truth, math.nan)))

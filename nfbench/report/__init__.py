@@ -2,6 +2,16 @@
 
 from __future__ import annotations
 
+from .localization import localization_csv, localization_json, print_localization
 from .terminal import number_text, print_comparison, print_report, shown, summary_table
 
-__all__ = ["number_text", "print_comparison", "print_report", "shown", "summary_table"]
+__all__ = [
+    "localization_csv",
+    "localization_json",
+    "number_text",
+    "print_comparison",
+    "print_localization",
+    "print_report",
+    "shown",
+    "summary_table",
+]

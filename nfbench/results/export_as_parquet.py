@@ -30,7 +30,8 @@ def export_parquet(results: Results, out: Path | None = None) -> Exported:
 
     ``runs.parquet``, ``hits.parquet`` and ``targets.parquet`` have the columns of ``Results.runs``, ``Results.hits()``
     and ``Results.target_table()``, and ``references.parquet``, in studies with proven optima, those of
-    ``Results.reference_table()``. ``traces.parquet`` has one row per improvement, with the columns of ``traces.csv``,
+    ``Results.reference_table()``, and ``positions.parquet``, where sources have positions, those of
+    ``Results.positions``. ``traces.parquet`` has one row per improvement, with the columns of ``traces.csv``,
     except that the coordinates are in one column ``x`` of lists. Swept values of different types are written as text.
 
     out: folder to write; None: ``export-parquet`` in the results folder.
@@ -50,6 +51,8 @@ def export_parquet(results: Results, out: Path | None = None) -> Exported:
         tables = {"runs": runs, "hits": _uniform(evidence.hits.frame), "targets": _uniform(evidence.target_table())}
         if len(evidence.references):
             tables["references"] = _uniform(evidence.references)
+        if len(positions := results.positions):
+            tables["positions"] = _uniform(positions)
         for name, frame in tables.items():
             frame.to_parquet(draft / f"{name}.parquet", engine="pyarrow", index=False)
     return exported

@@ -17,7 +17,7 @@ from .damage import Damaged
 from .folder import whole_folder, write_whole
 from .rescue import Rescue
 from .results import Results
-from .schema import PLAN_COLUMNS, PROOF_COLUMNS, REFERENCE_COLUMNS, RESULT_COLUMNS, marks
+from .schema import PLAN_COLUMNS, POSITION_COLUMNS, PROOF_COLUMNS, REFERENCE_COLUMNS, RESULT_COLUMNS, marks
 from .store import FILE, Store
 
 __all__ = ["merge", "missing_shards"]
@@ -87,6 +87,7 @@ def _fill(store: Store, folders: Iterable[Path], warn: Callable[[str], object]) 
                     _take_properties(store, db, other.meta)
                     _take_plan(db, other.plan_rows())
                     _take_results(db, folder, other.result_rows())
+                    _take_positions(db, other.positions.rows())
                     _take_proofs(db, other.references.plan_rows())
                     _take_references(db, folder, other.references.rows())
             except Damaged as damage:
@@ -100,6 +101,7 @@ def _rescue(store: Store, db: sqlite3.Connection, folder: Path, damage: Damaged,
     _take_properties(store, db, found.meta)
     _take_plan(db, iter(found.plan.values()))
     db.executemany(f"INSERT OR IGNORE INTO results VALUES ({marks(len(RESULT_COLUMNS))})", found.rows())
+    _take_positions(db, found.positions.values())
     _take_proofs(db, found.proofs.values())
     _put_references(db, found.references.values())
     reason = str(damage).partition("; ")[0]
@@ -147,6 +149,11 @@ def _take_results(db: sqlite3.Connection, folder: Path, rows: Iterable[tuple[Any
                 f"{folder} cannot be merged: its result of run {row[0]} ({row[1]}, objective {row[3]}) differs from "
                 f"that in the previous folders ({present[1]}, objective {present[3]}); nothing was written"
             )
+
+
+def _take_positions(db: sqlite3.Connection, rows: Iterable[tuple[Any, ...]]) -> None:
+    """Take over the positions of runs, except those that are there: they follow from the results, which are equal."""
+    db.executemany(f"INSERT OR IGNORE INTO positions VALUES ({marks(len(POSITION_COLUMNS))})", rows)
 
 
 def _take_proofs(db: sqlite3.Connection, rows: Iterable[tuple[Any, ...]]) -> None:

@@ -14,7 +14,7 @@ from numpy import ndarray
 
 from nfbench.core import Formulation, Instance, NfbenchError, ProblemInstance, Scenario, Trace, explain
 from nfbench.plugins import Registry
-from nfbench.study import ErrorCollector, Resolver, load_scenarios
+from nfbench.study import ErrorCollector, Resolver, load_scenarios, scene_numbers
 
 __all__ = ["Redrawing"]
 
@@ -125,12 +125,17 @@ class Redrawing:
                 made[resolver.labelled("formulation", spec).label] = formulation
         return made, missing
 
+    @functools.cached_property
+    def _numbers(self) -> dict[int, int]:
+        """The numbers of the scenes by their seeds."""
+        return scene_numbers(self._path)
+
     def _drawn(self, point: str, seed: int) -> Instance | None:
         scenario = self._scenarios[0].get(point)
         if scenario is None:
             return None
         try:
-            return scenario.draw(np.random.default_rng(seed))
+            return scenario.draw_scene(np.random.default_rng(seed), self._numbers.get(seed, 0))
         except Exception:  # of the plugin
             return None
 

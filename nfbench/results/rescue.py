@@ -9,7 +9,7 @@ from typing import Any, final
 
 from .carving import carved
 from .damage import Damaged, guarded, remedy
-from .schema import PLAN_COLUMNS, PROOF_COLUMNS, REFERENCE_COLUMNS, RESULT_COLUMNS
+from .schema import PLAN_COLUMNS, POSITION_COLUMNS, PROOF_COLUMNS, REFERENCE_COLUMNS, RESULT_COLUMNS
 from .values import checked_row, unpacked
 
 __all__ = ["Rescue"]
@@ -32,6 +32,7 @@ class Rescue:
     plan: rows of this table by ordinal, in which every value is possible.
     results: when each result was computed, by run; of several results of a run, the last.
     proofs, references: rows of ``reference_plan`` by ordinal, and of ``reference_optima`` by identity.
+    positions: rows of this table by run, in which every value is possible.
     blanked: runs of which something was damaged that no table needs, and is left out: the message, times, traces.
 
     Raises Damaged if nothing can be read.
@@ -45,6 +46,7 @@ class Rescue:
         self.blanked: set[str] = set()
         self.proofs: dict[int, tuple[Any, ...]] = {}
         self.references: dict[str, tuple[Any, ...]] = {}
+        self.positions: dict[str, tuple[Any, ...]] = {}
         self._bad: set[str] = set()
         with guarded(path):
             for rowid, row in carved(path):
@@ -89,6 +91,10 @@ class Rescue:
                 checked_row("reference_optima", REFERENCE_COLUMNS, row)
                 if (row[-1] or 0.0) >= (self.references.get(row[0], row)[-1] or 0.0):
                     self.references[row[0]] = row
+        elif rowid is None and len(row) == len(POSITION_COLUMNS):
+            with contextlib.suppress(ValueError):
+                checked_row("positions", POSITION_COLUMNS, row)
+                self.positions[row[0]] = row
         elif rowid is None and len(row) == 2 and row[0] in _KEYS and isinstance(row[1], str):
             self.meta[row[0]] = row[1]
         elif rowid is None and len(row) in _LENGTHS and isinstance(row[0], str):

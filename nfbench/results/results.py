@@ -88,6 +88,20 @@ class Results:
         return pd.concat(frames, ignore_index=True) if frames else pd.DataFrame(columns=columns)
 
     @property
+    def positions(self) -> pd.DataFrame:
+        """One row per source of each finished run, and one per surplus estimate: the columns of ``positions.csv``.
+
+        Empty if the scenario has no positions. Runs that were made by a version without this table are missing.
+        """
+        from .position_table import positions_frame
+
+        with Store(self.folder) as store:
+            meta, keys = store.described(), store.swept_keys()
+            rows = list(store.positions.finished())
+            with guarded(store.path):
+                return positions_frame(rows, keys, int(meta.get("runs_per_scene", "1")))
+
+    @property
     def references(self) -> pd.DataFrame:
         """One row per finished proof of an optimum, in the study's order; empty in studies without ``[reference]``.
 
@@ -214,7 +228,8 @@ class Results:
     def write_tables(self) -> None:
         """Write ``runs.csv``, ``summary.csv``, ``targets.csv`` and ``ranking.csv``.
 
-        With claims also ``claims.csv`` is written, and with proofs of optima ``references.csv``. Each replaces the old
+        With claims also ``claims.csv`` is written, with proofs of optima ``references.csv``, and with positions of
+        sources ``positions.csv``. Each replaces the old
         one only when it is complete. Text that other programs would misread is written as ``csv_text`` does.
         """
         evidence = self.evidence()
@@ -227,6 +242,8 @@ class Results:
                 self._write_table("claims", claims)
             if len(evidence.references):
                 self._write_table("references", evidence.references)
+            if len(positions := self.positions):
+                self._write_table("positions", positions)
 
     def _write_table(self, name: str, frame: pd.DataFrame) -> None:
         text = csv_frame(frame)

@@ -11,6 +11,7 @@ from .damage import Damaged, patiently, remedy
 
 __all__ = [
     "PLAN_COLUMNS",
+    "POSITION_COLUMNS",
     "PROOF_COLUMNS",
     "REFERENCE_COLUMNS",
     "RESULT_COLUMNS",
@@ -20,7 +21,7 @@ __all__ = [
     "marks",
 ]
 
-SCHEMA = 3
+SCHEMA = 4
 READABLE = 2  # the oldest schema that can be read without being updated
 _TABLES = {
     "meta": "CREATE TABLE IF NOT EXISTS meta (key TEXT PRIMARY KEY, value TEXT NOT NULL) WITHOUT ROWID",
@@ -48,6 +49,10 @@ _TABLES = {
         "    columns TEXT, point TEXT, seconds REAL, cpu_s REAL, host TEXT, worker INTEGER, finished REAL) "
         "WITHOUT ROWID"
     ),
+    "positions": (
+        "CREATE TABLE IF NOT EXISTS positions (run_id TEXT PRIMARY KEY, truth TEXT NOT NULL, estimated TEXT NOT NULL) "
+        "WITHOUT ROWID"
+    ),
 }
 PLAN_COLUMNS = (
     *("ordinal", "run_id", "scenario", "formulation", "solver", "method", "repetition", "swept", "instance_seed"),
@@ -62,15 +67,17 @@ REFERENCE_COLUMNS = (  # of another number than those of ``results``, so that ro
     *("reference_id", "status", "message", "value", "gap", "certified", "step", "columns", "point", "seconds"),
     *("cpu_s", "host", "worker", "finished"),
 )
+POSITION_COLUMNS = ("run_id", "truth", "estimated")
 _COLUMNS = {
     "meta": ("key", "value"),
     "plan": PLAN_COLUMNS,
     "results": RESULT_COLUMNS,
     "reference_plan": PROOF_COLUMNS,
     "reference_optima": REFERENCE_COLUMNS,
+    "positions": POSITION_COLUMNS,
 }
 _ADDED = {"finished": 2}  # columns that older schemas lack → schema that added them
-_ADDED_TABLES = {"reference_plan": 3, "reference_optima": 3}
+_ADDED_TABLES = {"reference_plan": 3, "reference_optima": 3, "positions": 4}
 _MIGRATIONS = {  # SQL that brings a file from this schema to the next one, besides creating tables
     1: "ALTER TABLE results ADD COLUMN finished REAL",
 }

@@ -15,6 +15,7 @@ from nfbench.study import RunRecord, Study
 
 from .damage import Damaged, guarded, patiently, remedy
 from .folder import FolderLock, clean, locked, network_file_system
+from .position_table import PositionTable
 from .reference_table import ReferenceTable
 from .rows import TracedRun, plan_row, result_row
 from .schema import PLAN_COLUMNS, RESULT_COLUMNS, bring_up_to_date, check_to_read, marks
@@ -41,15 +42,14 @@ class Store:
 
     The table ``plan`` holds the runs that the manifest describes now, in order. The table ``results`` holds every
     result ever computed in this folder. Readers see the results of runs in the plan. ``references`` has the optima that
-    are proven beside them. Any number of processes may open
-    the store for reading at any time, and one for writing (``write=True``). Raises StoreError if the file cannot be
-    opened, is damaged, or has another writer. Every value that is read is checked, and whatever is wrong with the file
-    is a StoreError with its name and a remedy.
+    are proven beside them, and ``positions`` those of the sources. Any number of processes may open the store for
+    reading at any time, and one for writing (``write=True``). Raises StoreError if the file cannot be opened, is
+    damaged, or has another writer. Every value that is read is checked; any fault is a StoreError with a remedy.
     """
 
     def __init__(self, folder: Path, *, write: bool = False) -> None:
         self.folder, self.path = folder, folder / FILE
-        self.references = ReferenceTable(self)
+        self.references, self.positions = ReferenceTable(self), PositionTable(self)
         self._lock: FolderLock | None = None
         self._wait_s = WRITE_WAIT_S if write else READ_WAIT_S
         with guarded(self.path):
@@ -330,9 +330,10 @@ class Store:
 
     def add(self, records: Iterable[RunRecord]) -> None:
         """Write records in one transaction; they are on disk when this returns."""
-        rows = [result_row(record) for record in records]
-        with self.writing():
-            self._db.executemany(f"REPLACE INTO results VALUES ({marks(len(RESULT_COLUMNS))})", rows)
+        records = list(records)
+        with self.writing() as db:
+            db.executemany(f"REPLACE INTO results VALUES ({marks(len(RESULT_COLUMNS))})", map(result_row, records))
+            self.positions.put(records)
 
     @contextlib.contextmanager
     def writing(self) -> Iterator[sqlite3.Connection]:

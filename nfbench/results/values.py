@@ -23,7 +23,8 @@ _FIELDS = ("evaluations", "seconds", "values", "points")
 
 
 def checked_row(table: str, names: Sequence[str], row: Sequence[Any]) -> list[Any]:
-    """The values of a row of a table: ``scores`` and ``columns`` as a dict, ``estimate`` and ``point`` as lists.
+    """The values of a row of a table: ``scores`` and ``columns`` as a dict, ``estimate`` and ``point`` as lists,
+    ``truth`` and ``estimated`` as arrays (n, 3).
 
     ``swept`` and ``traces`` are checked by ``settings`` and ``unpacked`` where they are used. Raises ValueError, which
     names the row and the column, if a value is not one that a run can have.
@@ -106,6 +107,13 @@ def _point(value: Any) -> list[float] | None:
     return None if found is None else [float(coordinate) for coordinate in found]
 
 
+def _places(value: Any) -> ndarray:
+    found = np.array(json.loads(_text(value)), dtype=np.float64)
+    if found.size and (found.ndim != 2 or found.shape[1] != 3):
+        raise ValueError(f"expected a list of points [x, y, z], found {value!r:.80}")
+    return found.reshape(-1, 3)
+
+
 def _blob(value: Any) -> bytes:
     if not isinstance(value, bytes):
         raise ValueError(f"expected bytes, found {value!r:.80}")
@@ -141,6 +149,8 @@ _CHECKS: dict[str, Callable[[Any], Any]] = {
     "columns": _scores,
     "point": _point,
     "seconds": _number,
+    "truth": _places,
+    "estimated": _places,
     "host": _text,
     "worker": _whole,
     "finished": _time,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from .claims import Claim, Compare, Names, claim_of
-from .manifest import load_scenarios, load_study
+from .manifest import load_methods, load_scenarios, load_study, scene_numbers
 from .plan import Study
 from .records import Method, PluginSpec, Point, RunRecord, RunSpec, swept_column
 from .resolve import ErrorCollector, Resolved, Resolver
@@ -22,7 +22,9 @@ __all__ = [
     "RunSpec",
     "Study",
     "claim_of",
+    "load_methods",
     "load_scenarios",
     "load_study",
+    "scene_numbers",
     "swept_column",
 ]

@@ -6,7 +6,7 @@ import re
 import unicodedata
 from contextlib import suppress
 
-__all__ = ["label_problem", "safe_label"]
+__all__ = ["LONGEST", "label_problem", "safe_label"]
 
 LONGEST = 200  # characters
 MISSING = frozenset({"n/a", "na", "nan", "null", "none", "nil"})  # with any marks around them, e.g. <NA>, #N/A, -nan

@@ -13,7 +13,7 @@ from nfbench.plugins import Registry
 
 from .claims import claim_of, claim_problems
 from .methods import budget_limits, study_methods
-from .plan import Study
+from .plan import Study, scene_seed
 from .plausibility import plugin_warnings
 from .proofs import provable
 from .reading import read_manifest as _read
@@ -22,7 +22,7 @@ from .resolve import ErrorCollector, Resolver
 from .schema import Manifest, Proofs, Summary, Table, Targets
 from .sweep import AT_FIRST, Sweep, limits_given_twice, sweep_points, with_first_limits
 
-__all__ = ["load_scenarios", "load_study"]
+__all__ = ["load_methods", "load_scenarios", "load_study", "scene_numbers"]
 
 T = TypeVar("T", bound=Options)
 
@@ -64,6 +64,32 @@ def load_scenarios(path: str | Path, plugins: Iterable[str | Path] = ()) -> list
                 str(path), [*errors.texts, *([hint + ", ".join(manifest.plugins)] * bool(manifest.plugins))]
             )
         return [(point.swept, _scenario(point.scenario, resolver.registry)) for point in points]
+
+
+def load_methods(path: str | Path, plugins: Iterable[str | Path] = ()) -> list[Method]:
+    """Return the methods of a study, with the limits of the first point of its sweep.
+
+    As in ``load_scenarios``, the plugin files that the manifest names are not imported. Raises ManifestError if the
+    manifest is invalid or needs a plugin file that is not given.
+    """
+    path = Path(path)
+    table, _ = _read(path)
+    errors = ErrorCollector()
+    with relative_to(path.parent):
+        manifest = _top_level(table, errors)
+        resolver = Resolver(_registry(plugins, errors), errors)
+        methods = study_methods(with_first_limits(manifest), resolver, None)
+    if errors.texts:
+        hint = f"pass the plugin files that it names with --plugin: {', '.join(manifest.plugins)}"
+        raise ManifestError(str(path), [*errors.texts, *([hint] * bool(manifest.plugins))])
+    return methods
+
+
+def scene_numbers(path: str | Path) -> dict[int, int]:
+    """Return the numbers of the scenes of a study by their seeds. Raises ManifestError if it cannot be read."""
+    table, _ = _read(Path(path))
+    manifest = _top_level(table, ErrorCollector())
+    return {scene_seed(manifest.seed, number): number for number in range(manifest.scenes)}
 
 
 def _scenario(spec: PluginSpec, registry: Registry) -> Scenario:
@@ -123,7 +149,7 @@ def _planned(
         scenes=manifest.scenes,
         points=tuple(sweep.points),
         methods=tuple(methods),
-        error=scenario.error,
+        error=scenario.ranked_by(),
         outlier_m=summary.outlier_m,
         plugins=tuple(str(file) for file in registry.files),
         manifest=text,

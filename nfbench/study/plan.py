@@ -13,7 +13,7 @@ from nfbench.core import OptionError
 
 from .records import Method, Point, RunSpec
 
-__all__ = ["MAX_RUNS", "Study", "digest", "seed_from"]
+__all__ = ["MAX_RUNS", "Study", "digest", "scene_seed", "seed_from"]
 
 SEEDS = 2  # version of how seeds depend on a study: of 1, the scenes also depended on the swept values
 MAX_RUNS = 10**9  # a plan of 300 GB; what is larger must be split into several studies
@@ -124,8 +124,9 @@ class Study:
             point=point,
             method=method,
             repetition=scene * self.runs_per_scene + run,
-            instance_seed=_scene_seed(self.seed, scene),
+            instance_seed=scene_seed(self.seed, scene),
             solver_seed=seed_from("solver", *parts),
+            scene=scene,
         )
 
     @property
@@ -144,9 +145,10 @@ class Study:
             point=point,
             method=method,
             repetition=scene * self.runs_per_scene,
-            instance_seed=_scene_seed(self.seed, scene),
+            instance_seed=scene_seed(self.seed, scene),
             solver_seed=0,
             asks="reference",
+            scene=scene,
         )
 
     @cached_property
@@ -190,7 +192,7 @@ def seed_from(*parts: Any) -> int:
 
 
 @lru_cache(maxsize=1024)
-def _scene_seed(seed: int, scene: int) -> int:
+def scene_seed(seed: int, scene: int) -> int:
     return seed_from("scene", seed, scene)
 
 

@@ -100,6 +100,7 @@ class RunSpec:
     solver_seed: seed of the solver. It depends on everything that determines the result except plugin versions.
     asks: what is computed: the estimate of the method, or the proven optimum of the first problem of its formulation.
     An optimum is no run of the study, but it is computed like one; its identity has no solver and no budget.
+    scene: number of the scene, from 0.
     """
 
     run_id: str
@@ -110,6 +111,7 @@ class RunSpec:
     instance_seed: int
     solver_seed: int
     asks: Literal["estimate", "reference"] = "estimate"
+    scene: int = 0
 
 
 @dataclass(frozen=True)
@@ -128,6 +130,8 @@ class RunRecord:
     cpu_s: CPU time of the process during ``solve`` [s]; NaN if it is not known.
     scores: scores of the estimate by column name.
     estimate: estimate that the formulation returned, as nested lists; None if it returned none.
+    positions: true positions, and the estimates in the order of ``Instance.positions``, as lists of points [m]; None if
+    the instance has none, or if the run is not ok.
     traces: one trace for each problem that was minimized, together fewer than 1,000 rows.
     host: name of the machine that executed the run.
     worker: id of the process that executed the run.
@@ -142,6 +146,7 @@ class RunRecord:
     cpu_s: float = math.nan
     scores: dict[str, float] = field(default_factory=dict)
     estimate: list[Any] | None = None
+    positions: tuple[list[list[float]], list[list[float]]] | None = None
     traces: tuple[Trace, ...] = ()
     host: str = field(default_factory=socket.gethostname)
     worker: int = field(default_factory=os.getpid)

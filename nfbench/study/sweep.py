@@ -15,6 +15,7 @@ from .plan import digest
 from .records import Point
 from .resolve import ErrorCollector, Resolver
 from .schema import Limits, Manifest, Table
+from .swept_names import SweptNames
 
 __all__ = ["AT_FIRST", "Sweep", "limits_given_twice", "sweep_points", "with_first_limits"]
 
@@ -68,6 +69,10 @@ class Sweep:
         errors = self.resolver.errors
         self._seen: dict[str, str] = {}
         self._swept = _swept(self.manifest.sweep, errors)
+        self._names = {key: SweptNames(key, values) for key, values in self._swept.items()}
+        for key, names in self._names.items():
+            for place, text in names.problems():
+                errors.add(f"sweep.{key}{place}", text)
         self._count = math.prod(map(len, self._swept.values()))
         self._left = self._settings() if self._may_be_built() else iter(())
         self._done = 0
@@ -89,6 +94,9 @@ class Sweep:
                 break
         if self.points and self.scenario is None and not errors.texts:
             errors.add("scenario", self.points[0].scenario.broken or "cannot be constructed")
+        measures = {scenario.ranked_by(): None for scenario in self.scenarios if scenario is not None}
+        if len(measures) > 1 and not errors.texts:
+            errors.add("sweep", f"expected points with one measure of the error, got {', '.join(measures)}")
 
     def _may_be_built(self) -> bool:
         """Whether the scenario is given and there are not too many points; if not, record the error."""
@@ -140,7 +148,7 @@ class Sweep:
         values = {
             key: limits.get(key.removeprefix(BUDGET), setting[key])
             if key.startswith(BUDGET)
-            else _at(spec.options, key, setting[key])
+            else self._names[key].name(setting[key], _at(spec.options, key, setting[key]))
             for key in self._swept
         }
         self.points.append(Point(spec, values, limits))

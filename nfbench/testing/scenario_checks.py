@@ -226,7 +226,7 @@ def _global_random_untouched(scene: _Scene) -> None:
 
 
 def _score(scene: _Scene) -> str:
-    instance, error = scene.draw(), scene.scenario.error
+    instance, error = scene.draw(), scene.scenario.ranked_by()
     scored = []
     for formulation in scene.formulations:
         try:
@@ -265,7 +265,7 @@ def _score(scene: _Scene) -> str:
 
 
 def _truth(scene: _Scene) -> str:
-    instance, error = scene.draw(), scene.scenario.error
+    instance, error = scene.draw(), scene.scenario.ranked_by()
     truth = instance.truth()
     if truth is None:
         return "not checked: the instance has no known truth"

@@ -5,6 +5,17 @@ Both bounds are C = (σ²/2T)·{Re[(DᴴΠ⊥D) ⊙ Xᵀ]}⁻¹ with σ² = 1, w
 They hold for data Y = A·S + N in pure line of sight with a known number of sources and white noise of unit power. A
 contains what the estimator knows of gains, coupling and a whitening filter (``calibration``). They do not take into
 account the box in which estimates are searched.
+
+A bound is finite only if its rounding error is below about 1 %: the remainder of each projected derivative must exceed
+its rounding error by the factor ``rounding.CERTAIN``. All elements are inf otherwise, which is the case
+
+* if two sources coincide. At the size of the paper's array they are then about 1e-7 rad apart, and the bound is far
+  larger than any range;
+* if the data do not determine a parameter, as the azimuth and the range of a source on the axis of a line of elements;
+* if a source lies on an element (``rounding.undefined``), where the exact wavefront has no derivatives. At any larger
+  distance the bound is finite and right, although it depends on the side from which the source approaches the element.
+
+A position has a bound also at a pole, where its azimuth has none, and next to the origin, where its angles have none.
 """
 
 from __future__ import annotations
@@ -16,15 +27,10 @@ from jaxtyping import Complex, Float
 from numpy import ndarray
 from scipy.linalg import solve_triangular
 
+from .rounding import CERTAIN, magnitudes, undefined
 from .wavefronts import Manifold
 
 __all__ = ["deterministic_bound", "information_root", "position_bounds", "stochastic_bound"]
-
-CERTAIN = 100
-"""Factor by which the remainder of a projected derivative must exceed its rounding error; otherwise the bound is inf.
-
-Sources are therefore treated as coincident if the rounding error of their bound would exceed about 1 %. At the size of
-the paper's array they are then about 1e-7 rad apart, and the bound is far larger than any range."""
 
 
 def stochastic_bound(
@@ -39,8 +45,8 @@ def stochastic_bound(
     The symbols are circular Gaussian; the estimator knows neither their covariance nor the power of the noise.
     X = PAᴴR⁻¹AP with R = APAᴴ + I and P = diag(√snr)·C·diag(√snr), C their correlation (Stoica & Nehorai 1990,
     doi:10.1109/29.60109; direct derivation by Stoica, Larsson & Gershman 2001). All elements are inf if the data do not
-    determine the sources, for example if two sources coincide, or if the wavefront is planar, so that the range is
-    undetermined.
+    determine the sources, for example if two sources coincide, if the wavefront is planar, so that the range is
+    undetermined, or if a source lies on an element.
 
     manifold: array and wavefront model.
     theta: sources [rad, m], shape (K, d).
@@ -69,7 +75,7 @@ def deterministic_bound(
     """Return the bound on the covariance of θ̂, in the order of ``theta.ravel()`` [rad, m], for given symbols.
 
     The estimator does not know the symbols. X = SSᴴ/T (Stoica & Nehorai 1989, doi:10.1109/29.17564). All elements are
-    inf if the data do not determine the sources.
+    inf if the data do not determine the sources, or if a source lies on an element.
 
     manifold: array and wavefront model.
     theta: sources [rad, m], shape (K, d).
@@ -100,7 +106,8 @@ def information_root(
     """Return J with JᵀJ = Re[(DᴴΠ⊥D) ⊙ Xᵀ] for X = ``factor``·``factor``ᴴ, and the rounding errors of its columns.
 
     Neither Π⊥ nor a product DᴴΠ⊥D is formed: with [A D] = QR, the lower right block of R is a factor of DᴴΠ⊥D. The
-    errors grow as the smallest pivot of A decreases, which happens when two sources approach each other.
+    errors grow as the smallest pivot of A decreases, which happens when two sources approach each other. They are inf
+    if a source lies on an element.
     """
     K, d = theta.shape
     a, derivatives = manifold.response_and_derivatives(theta)
@@ -111,8 +118,11 @@ def information_root(
     pivots = np.abs(np.diag(R)[:K])
     with np.errstate(divide="ignore"):
         rounding = np.finfo(np.float64).eps * pivots.max() / pivots.min()
-    size = np.linalg.norm(D, axis=0) * np.linalg.norm(per_parameter, axis=1)
-    return np.vstack([J.real, J.imag]), rounding * size
+    size = np.maximum(np.linalg.norm(D, axis=0), magnitudes(manifold, theta).ravel())
+    errors: ndarray = rounding * size * np.linalg.norm(per_parameter, axis=1)
+    if undefined(manifold, theta):
+        errors[:] = math.inf
+    return np.vstack([J.real, J.imag]), errors
 
 
 def _covariance(

@@ -11,7 +11,6 @@ from numpy import ndarray
 from nfbench import Ge, Incompatible
 
 from .calibration import Knowledge, calibrated
-from .instance import NearFieldInstance
 from .subspace import compress
 
 __all__ = ["Criterion", "Sources", "estimate_sources", "how_many"]
@@ -25,7 +24,7 @@ Sources: TypeAlias = Annotated[int, Ge(1)] | Literal["known", "estimate"]
 
 
 def how_many(
-    instance: NearFieldInstance, sources: Sources, criterion: Criterion, knows: Knowledge | None = None
+    instance: ArrayInstance, sources: Sources, criterion: Criterion, knows: Knowledge | None = None
 ) -> int:
     """Return the number K of sources that a formulation with these options looks for; "estimate" may return 0.
 

@@ -13,7 +13,16 @@ from jaxtyping import Float
 from numpy import ndarray
 from scipy.spatial import KDTree
 
-__all__ = ["Frame", "ambiguity", "cartesian", "direction_derivatives", "directions", "flatness", "nearest_distances"]
+__all__ = [
+    "Frame",
+    "ambiguity",
+    "azimuth_near",
+    "cartesian",
+    "direction_derivatives",
+    "directions",
+    "flatness",
+    "nearest_distances",
+]
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,6 +74,12 @@ def cartesian(theta: Float[ndarray, "*p d"]) -> Float[ndarray, "*p 3"]:
     """Return the positions p = r·u [m] of sources ``theta`` [rad, m]."""
     p: ndarray = theta[..., -1:] * directions(theta)
     return p
+
+
+def azimuth_near(azimuth: Float[ndarray, "*p"], near: Float[ndarray, "*p"] | float) -> Float[ndarray, "*p"]:
+    """Return azimuths [rad] that differ by full turns from the given ones, and by at most half a turn from ``near``."""
+    turned: ndarray = azimuth + 2 * np.pi * np.round((near - azimuth) / (2 * np.pi))
+    return turned
 
 
 def nearest_distances(Q: Float[ndarray, "m 3"]) -> Float[ndarray, " m"]:
@@ -145,7 +160,8 @@ def _inside(
     upper: Float[ndarray, " d"],
 ) -> tuple[str, Float[ndarray, "two angles"]] | None:
     """Return the pair of directions in the box that are farthest apart, if these are more than 2° apart."""
-    found = np.column_stack([np.arctan2(other[:, 1], other[:, 0]), np.arcsin(np.clip(other[:, 2], -1.0, 1.0))])
+    azimuth = azimuth_near(np.arctan2(other[:, 1], other[:, 0]), (lower[0] + upper[0]) / 2)
+    found = np.column_stack([azimuth, np.arcsin(np.clip(other[:, 2], -1.0, 1.0))])
     found = found[:, : angles.shape[1]]
     inside = ((found > lower[:-1] + 1e-6) & (found < upper[:-1] - 1e-6)).all(axis=1)
     apart = np.where(inside, np.linalg.norm(u - other, axis=1), 0.0)

@@ -12,25 +12,25 @@ from jaxtyping import Complex, Float
 from numpy import ndarray
 from scipy.optimize import linear_sum_assignment
 
-from nfbench import Instance
-
+from .array_instance import ArrayInstance
 from .bounds import deterministic_bound, position_bounds, stochastic_bound
 from .calibration import true_manifold
 from .floor import local_fit, noise_free_columns
-from .geometry import cartesian
+from .geometry import Frame, cartesian
+from .parameters import parameter_bounds, parameter_scores
 from .wavefronts import Amplitude, Manifold
 
-__all__ = ["NearFieldInstance"]
+__all__ = ["NearFieldInstance", "position_errors", "position_scores", "positions_of"]
 
 ENUMERATED = 3  # up to this number of sources, trying all assignments of many estimates is faster than Kuhn's algorithm
 
 
 @final
 @dataclass(frozen=True, eq=False)
-class NearFieldInstance(Instance):
+class NearFieldInstance(ArrayInstance):
     """The data received by an array, and the sources that sent them.
 
-    The data are Y = Γ·C·H·S + N. What follows ``gospa_cutoff_m`` describes how the array differs from the nominal one;
+    The data are Y = Γ·C·H·S + N. What follows ``frame`` describes how the array differs from the nominal one;
     None or nothing stands for the nominal value. An estimator sees it only as far as its options say so.
 
     Y: received data, shape (M, T), with noise of unit variance.
@@ -43,6 +43,7 @@ class NearFieldInstance(Instance):
     snr: signal-to-noise power ratio per source at each antenna, shape (K,).
     rician_k: Rician factor κ; inf: pure line of sight.
     gospa_cutoff_m: cutoff distance c [m] of the score ``gospa_m``.
+    frame: coordinates in which the array and the estimates are described.
     gains: gains with phases of the elements, the diagonal of Γ, shape (M,).
     coupling: matrix C of mutual coupling, shape (M, M).
     noise_covariance: covariance of the noise, shape (M, M); None: the noise is white, of unit variance.
@@ -62,6 +63,7 @@ class NearFieldInstance(Instance):
     snr: Float[ndarray, " k"]
     rician_k: float
     gospa_cutoff_m: float = 1.0
+    frame: Frame = Frame(np.eye(3), np.zeros(3))  # noqa: RUF009  # frozen
     gains: Complex[ndarray, " m"] | None = None
     coupling: Complex[ndarray, "m m"] | None = None
     noise_covariance: Complex[ndarray, "m m"] | None = None
@@ -92,49 +94,18 @@ class NearFieldInstance(Instance):
         sources_found: number K̂ of estimates.
         error_1_m, error_2_m, …: errors of the true sources in their order; NaN for a source without an estimate.
 
-        The columns of ``bounds`` are included; they do not depend on the estimate.
+        The columns of ``parameter_scores`` are the errors in azimuth, elevation and range of the same pairs. The
+        columns of ``bounds`` are included; they do not depend on the estimate.
         """
-        estimate = np.asarray(estimate, dtype=np.float64)
-        d = self.theta.shape[1]
-        if estimate.ndim != 2 or estimate.shape[1] != d:
-            raise ValueError(f"estimate: expected shape (K, {d}), one row per source, got {estimate.shape}")
-        with np.errstate(over="ignore", invalid="ignore"):
-            squares = np.sum((cartesian(self.theta)[:, None] - cartesian(estimate)) ** 2, axis=-1)
-        K, found = squares.shape
-        errors = np.full(K, math.nan)
-        scores = dict.fromkeys(("rmse_m", "gospa_m", "sources", "sources_found"), math.nan)
-        if np.isfinite(squares).all():  # also false if a squared distance overflows
-            true, matched = linear_sum_assignment(squares)
-            errors[true] = np.sqrt(squares[true, matched])
-            rmse = math.sqrt(np.mean(squares[true, matched])) if found else math.nan
-            scores = {
-                "rmse_m": rmse,
-                "gospa_m": _gospa(squares, self.gospa_cutoff_m),
-                "sources": K,
-                "sources_found": found,
-            }
-        scores |= {f"error_{k}_m": float(error) for k, error in enumerate(errors, start=1)}
-        return scores | self.bounds()
+        return position_scores(self.theta, estimate, self.gospa_cutoff_m) | self.bounds()
 
     def errors(self, measure: str, estimates: Float[ndarray, "r found d"]) -> Float[ndarray, " r"]:
-        d = self.theta.shape[1]
-        if measure != "rmse_m" or estimates.ndim != 3 or estimates.shape[2] != d or not estimates.shape[1]:
-            return super().errors(measure, estimates)
-        with np.errstate(over="ignore", invalid="ignore"):
-            differences = cartesian(self.theta)[:, None] - cartesian(estimates)[:, None]
-            squares = np.sum(differences**2, axis=-1)  # (r, K, found)
-        return np.sqrt(_assigned(squares) / min(squares.shape[1:]))
+        errors = position_errors(self.theta, estimates) if measure == "rmse_m" else None
+        return super().errors(measure, estimates) if errors is None else errors
 
-    def positions(self, estimate: Float[ndarray, "q d"]) -> tuple[Float[ndarray, "k 3"], Float[ndarray, "k 3"]]:
-        """Return the true positions and, row by row, the estimates assigned to them as in ``score`` [m]."""
-        truth, found = (
-            cartesian(self.theta),
-            cartesian(np.asarray(estimate, dtype=np.float64).reshape(-1, self.theta.shape[1])),
-        )
-        source, guess = linear_sum_assignment(np.sum((truth[:, None] - found) ** 2, axis=-1))
-        matched = np.full_like(truth, math.nan)
-        matched[source] = found[guess]
-        return truth, matched
+    def positions(self, estimate: Float[ndarray, "q d"]) -> tuple[Float[ndarray, "k 3"], Float[ndarray, "_ 3"]]:
+        """Return the true positions, and the estimates assigned to them as in ``score`` before the others [m]."""
+        return positions_of(self.theta, estimate)
 
     def bounds(self) -> dict[str, float]:
         """Return reference values [m] for the errors of this scene, by column name.
@@ -146,6 +117,8 @@ class NearFieldInstance(Instance):
         crb_m: root mean square of the stochastic bounds over the sources.
         crb_deterministic_m: root mean square of the deterministic bounds, for the symbols that were sent.
         crb_1_m, crb_2_m, …: stochastic bounds of the individual sources.
+
+        The columns of ``parameter_bounds`` are the stochastic bounds of the azimuths, elevations and ranges.
 
         Under Rician fading these bounds do not hold; the only column is then:
 
@@ -173,7 +146,64 @@ class NearFieldInstance(Instance):
             "crb_m": _root_mean_square(per_source),
             "crb_deterministic_m": _root_mean_square(position_bounds(deterministic, self.theta)),
             **{f"crb_{k}_m": float(bound) for k, bound in enumerate(per_source, start=1)},
+            **parameter_bounds(stochastic, self.theta),
         }
+
+
+def position_scores(
+    truth: Float[ndarray, "k d"], estimate: Float[ndarray, "found d"], gospa_cutoff_m: float
+) -> dict[str, float]:
+    """Return the errors [m] of an estimate, the columns of ``NearFieldInstance.score`` except the bounds.
+
+    truth: true sources [rad, m], shape (K, d).
+    estimate: estimated sources [rad, m], shape (K̂, d). Raises ValueError if it has another shape.
+    gospa_cutoff_m: cutoff distance c [m] of GOSPA.
+    """
+    estimate = np.asarray(estimate, dtype=np.float64)
+    d = truth.shape[1]
+    if estimate.ndim != 2 or estimate.shape[1] != d:
+        raise ValueError(f"estimate: expected shape (K, {d}), one row per source, got {estimate.shape}")
+    with np.errstate(over="ignore", invalid="ignore"):
+        squares = np.sum((cartesian(truth)[:, None] - cartesian(estimate)) ** 2, axis=-1)
+    K, found = squares.shape
+    errors, assigned = np.full(K, math.nan), np.full_like(truth, math.nan)
+    scores = dict.fromkeys(("rmse_m", "gospa_m", "sources", "sources_found"), math.nan)
+    if np.isfinite(squares).all():  # also false if a squared distance overflows
+        true, matched = linear_sum_assignment(squares)
+        errors[true], assigned[true] = np.sqrt(squares[true, matched]), estimate[matched]
+        rmse = math.sqrt(np.mean(squares[true, matched])) if found else math.nan
+        scores = {
+            "rmse_m": rmse,
+            "gospa_m": _gospa(squares, gospa_cutoff_m),
+            "sources": K,
+            "sources_found": found,
+        }
+    scores |= {f"error_{k}_m": float(error) for k, error in enumerate(errors, start=1)}
+    return scores | parameter_scores(truth, assigned)
+
+
+def position_errors(
+    truth: Float[ndarray, "k d"], estimates: Float[ndarray, "r found d"]
+) -> Float[ndarray, " r"] | None:
+    """Return the scores ``rmse_m`` of many estimates [rad, m]; None if they do not have the shape (r, K̂ >= 1, d)."""
+    if estimates.ndim != 3 or estimates.shape[2] != truth.shape[1] or not estimates.shape[1]:
+        return None
+    with np.errstate(over="ignore", invalid="ignore"):
+        differences = cartesian(truth)[:, None] - cartesian(estimates)[:, None]
+        squares = np.sum(differences**2, axis=-1)  # (r, K, found)
+    return np.sqrt(_assigned(squares) / min(squares.shape[1:]))
+
+
+def positions_of(
+    theta: Float[ndarray, "k d"], estimate: Float[ndarray, "q d"]
+) -> tuple[Float[ndarray, "k 3"], Float[ndarray, "_ 3"]]:
+    """Return the true positions, and the estimates assigned as in ``position_scores`` before the others [m]."""
+    truth = cartesian(theta)
+    found = cartesian(np.asarray(estimate, dtype=np.float64).reshape(-1, theta.shape[1]))
+    source, guess = linear_sum_assignment(np.sum((truth[:, None] - found) ** 2, axis=-1))
+    matched = np.full_like(truth, math.nan)
+    matched[source] = found[guess]
+    return truth, np.vstack([matched, np.delete(found, guess, axis=0)])
 
 
 def _assigned(squares: Float[ndarray, "r k found"]) -> Float[ndarray, " r"]:

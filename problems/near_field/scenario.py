@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Annotated, ClassVar, Literal, TypeAlias, final
+from typing import Annotated, Any, ClassVar, Literal, TypeAlias, final
 
 import numpy as np
 from jaxtyping import Complex, Float
 from numpy import ndarray
 
-from nfbench import Ge, Gt, Instance, Le, Lt, OneOf, OptionError, Scenario
+from nfbench import Ge, Gt, Instance, Le, Lt, OneOf, OptionError, Scenario, Survey
 
-from .arrays import UCA, ULA, UPA, Array, Custom, unusual
+from .arrays import AnyArray, unusual
+from .arrays.survey import survey
+from .carrier import Frequency, Speed, Wavelength, carrier_problems, carrier_wavelength
 from .channels import IID, ClusterAroundSource, Clusters, Isotropic, NLoS, complex_normal, rician
+from .fixed_sources import cartesian_problems, cartesian_sources, spherical_problems, spherical_sources
 from .geometry import ambiguity
 from .impairments import Impairments, mixing_matrix
 from .instance import NearFieldInstance
@@ -37,8 +41,12 @@ FLAT = 0.02  # deviation from a line or plane [wavelengths, root mean square] th
 class NearField(Scenario):
     """K sources in the near field of an array: Y = H·diag(√snr)·S + N.
 
-    array: table of kind "ula", "upa", "uca" or "custom" that describes the antenna array.
-    wavelength_m: wavelength λ [m].
+    array: table of kind "ula", "upa", "uca", "cross", "rings", "spiral", "sunflower", "panels" or "custom" that
+        describes the antenna array.
+    wavelength_m: wavelength λ [m]; None: it follows from ``frequency_hz`` and ``speed_m_s``.
+    frequency_hz: frequency f of the waves [Hz], in place of ``wavelength_m``; None: ``wavelength_m`` is used.
+    speed_m_s: speed c of the waves [m/s], required with ``frequency_hz``: 299792458 for radio waves, about 343 for
+        sound in air; None: ``wavelength_m`` is used.
     wavefront: wavefront model of the data: "exact" (spherical), "fresnel", "paper" (the Fresnel model without its cos²φ
         factor) or "planar".
     sources: number K of sources; must be smaller than the number of antennas.
@@ -51,13 +59,18 @@ class NearField(Scenario):
         stated, which is allowed only if rician_k is inf.
     nlos: table of kind "iid", "clusters", "cluster-around-source" or "isotropic" that describes the distribution of the
         scattered waves; it has no effect if rician_k is inf.
-    azimuth_deg: interval [low, high] [°] from which azimuths are drawn and in which they are searched.
+    azimuth_deg: interval [low, high] [°] from which azimuths are drawn and in which they are searched, at most 360°
+        wide; it may extend beyond ±180°, such as [150, 210] for a sector about the negative x axis.
     elevation_deg: interval [low, high] [°] from which elevations are drawn and in which they are searched; None: all
         sources lie in the plane z = 0, and elevation is not estimated.
     range_m: interval [low, high] [m] from which ranges are drawn and in which they are searched.
     min_separation_deg: minimum angle [°] between the directions of any two sources, seen from the origin.
     positions: list of fixed sources [azimuth, (elevation,) range] [°, m], one per source; None: sources are drawn at
-        random.
+        random, or ``positions_m`` is used.
+    positions_m: list of fixed sources [x, y, z] [m], one per source, in place of ``positions``: in the coordinates in
+        which the array is described, those of the element positions for kinds "custom" and "panels"; for the other
+        kinds, x is the broadside, and the origin is the point from which ranges are measured. None: ``positions`` is
+        used, or sources are drawn at random.
     impairments: table that describes how the array and its sources differ from the model that estimators assume: gain,
         phase and position errors, failed elements, mutual coupling, coloured noise, correlated sources.
     gospa_cutoff_m: cutoff distance c [m] of the score ``gospa_m``; an estimate farther away counts as a missed source
@@ -66,8 +79,10 @@ class NearField(Scenario):
 
     instance: ClassVar[type[Instance]] = NearFieldInstance
 
-    array: Annotated[Array, OneOf(ULA, UPA, UCA, Custom)]
-    wavelength_m: Annotated[float, Ge(1e-9), Le(1e9)]
+    array: AnyArray
+    wavelength_m: Wavelength | None = None
+    frequency_hz: Frequency | None = None
+    speed_m_s: Speed | None = None
     wavefront: Wavefront = "exact"
     sources: Annotated[int, Ge(1), Le(MAX_SOURCES)]
     snapshots: Annotated[int, Ge(1), Le(MAX_NUMBERS)]
@@ -80,12 +95,14 @@ class NearField(Scenario):
     range_m: tuple[_Finite, _Finite]
     min_separation_deg: Annotated[float, Ge(0.0), Le(180.0)] = 0.0
     positions: tuple[tuple[_Finite, ...], ...] | None = None
+    positions_m: tuple[tuple[_Finite, _Finite, _Finite], ...] | None = None
     impairments: Impairments = Impairments()  # noqa: RUF009  # frozen
     gospa_cutoff_m: Annotated[float, Gt(0.0), Le(1e9)] = 1.0
 
     def validate(self) -> None:
         problems = [
-            *_interval("azimuth_deg", self.azimuth_deg, -180.0, 180.0),
+            *carrier_problems(self.wavelength_m, self.frequency_hz, self.speed_m_s),
+            *_interval("azimuth_deg", self.azimuth_deg, -360.0, 360.0, widest=360.0),
             *_interval("elevation_deg", self.elevation_deg, -90.0, 90.0),
             *_interval("range_m", self.range_m, 1e-9, 1e9),
             *self._too_large(),
@@ -100,9 +117,9 @@ class NearField(Scenario):
             problems.append(("fading", f'expected "block" or "snapshot" for rician_k = {self.rician_k:g}, got none'))
         for path, text in self.impairments.problems(elements, self.sources, self.wavefront):
             problems.append((f"impairments.{path}", text))
-        if self.positions is not None and not problems:
-            problems += self._misplaced(self.positions)
-        if self.positions is None and not problems:
+        if not problems:
+            problems += self.array.misplaced(self.wavelength) or self._misplaced()
+        if self.positions is self.positions_m is None and not problems:
             separation, box = math.radians(self.min_separation_deg), self.box()
             if not has_room(*box, self.sources, separation):
                 low, high = self.azimuth_deg
@@ -131,16 +148,25 @@ class NearField(Scenario):
     def warm_up(self) -> None:
         kernels.warm_up()
 
+    @property
+    def wavelength(self) -> float:
+        """The wavelength λ [m]."""
+        return carrier_wavelength(self.wavelength_m, self.frequency_hz, self.speed_m_s)
+
+    @classmethod
+    def survey(cls, options: Mapping[str, Any]) -> Survey:
+        return survey(options)
+
     def manifold(self) -> Manifold:
         """Return the array and the wavefront model with which the data are generated."""
         has_elevation = self.elevation_deg is not None
-        return Manifold(self.array.place(self.wavelength_m), self.wavelength_m, self.wavefront, has_elevation)
+        return Manifold(self.array.place(self.wavelength), self.wavelength, self.wavefront, has_elevation)
 
     def warnings(self) -> list[str]:
         """Return sentences about units and geometry that are probably not what was meant."""
-        low, high = self.azimuth_deg
+        low, high = np.array(self.azimuth_deg) - 360 * round(sum(self.azimuth_deg) / 720)
         return [
-            *unusual(self.array, self.wavelength_m, faces_forward=low >= -90 and high <= 90),
+            *unusual(self.array, self.wavelength, faces_forward=bool(low >= -90 and high <= 90)),
             *self._two_sides(),
             *self._in_radians(),
             *self._too_far(),
@@ -151,7 +177,7 @@ class NearField(Scenario):
     def _two_sides(self) -> list[str]:
         """Return a sentence if the box contains two directions that the array cannot distinguish."""
         lower, upper = self.box()
-        found = ambiguity(self.array.place(self.wavelength_m), lower, upper, FLAT * self.wavelength_m)
+        found = ambiguity(self.array.place(self.wavelength), lower, upper, FLAT * self.wavelength)
         if found is None:
             return []
         shape, pair = found
@@ -187,8 +213,8 @@ class NearField(Scenario):
 
     def _too_far(self) -> list[str]:
         """Return a sentence if most ranges are beyond the near field, where the range cannot be estimated."""
-        aperture = self.array.aperture_m(self.wavelength_m)
-        fraunhofer = 2 * aperture**2 / self.wavelength_m
+        aperture = self.array.aperture_m(self.wavelength)
+        fraunhofer = 2 * aperture**2 / self.wavelength
         low, high = self.range_m
         share = (high - max(low, fraunhofer)) / (high - low)
         if share <= BEYOND:
@@ -224,6 +250,7 @@ class NearField(Scenario):
         symbols = np.sqrt(snr)[:, None] * (uncorrelated if mixing is None else mixing @ uncorrelated)
         N = array.colour(_rows(for_noise, manifold.elements, self.snapshots))
         Y = np.einsum("tmk,kt->mt", np.broadcast_to(H, (self.snapshots, *H.shape[1:])), symbols) + N
+        frame = self.array.frame(self.wavelength)
         return NearFieldInstance(
             Y,
             theta,
@@ -235,6 +262,7 @@ class NearField(Scenario):
             snr,
             self.rician_k,
             self.gospa_cutoff_m,
+            frame,
             gains=array.gains,
             coupling=array.coupling,
             noise_covariance=array.noise_covariance,
@@ -252,28 +280,26 @@ class NearField(Scenario):
 
     def _place_sources(self, rng: np.random.Generator, lower: ndarray, upper: ndarray) -> Float[ndarray, "k d"]:
         """Return the fixed positions, or draw them."""
-        if self.positions is not None:
-            degrees = np.array(self.positions)
-            return np.hstack([np.radians(degrees[:, :-1]), degrees[:, -1:]])
-        return place_sources(rng, lower, upper, self.sources, math.radians(self.min_separation_deg))
+        if self.positions is self.positions_m is None:
+            return place_sources(rng, lower, upper, self.sources, math.radians(self.min_separation_deg))
+        if self.positions_m is not None:
+            return cartesian_sources(self.positions_m, self.array.frame(self.wavelength), lower, upper)
+        return spherical_sources(self.positions or (), self.azimuth_deg)
 
-    def _misplaced(self, positions: tuple[tuple[float, ...], ...]) -> list[tuple[str, str]]:
+    def _misplaced(self) -> list[tuple[str, str]]:
         """Return the errors in fixed positions as (path, message) pairs."""
+        if self.positions is not None and self.positions_m is not None:
+            return [("positions_m", "expected either positions or positions_m, got both")]
+        name, positions = ("positions_m", self.positions_m) if self.positions is None else ("positions", self.positions)
+        if positions is None:
+            return []
         if len(positions) != self.sources:
-            return [("positions", f"expected {self.sources} positions, one per source, got {len(positions)}")]
+            return [(name, f"expected {self.sources} positions, one per source, got {len(positions)}")]
         box = {"azimuth_deg": self.azimuth_deg, "elevation_deg": self.elevation_deg, "range_m": self.range_m}
         sides = {name: side for name, side in box.items() if side is not None}
-        problems = []
-        for k, position in enumerate(positions):
-            if len(position) != len(sides):
-                problems.append(
-                    (f"positions[{k}]", f"expected {len(sides)} numbers ({', '.join(sides)}), got {position}")
-                )
-                continue
-            for value, (name, (low, high)) in zip(position, sides.items(), strict=True):
-                if not low <= value <= high:
-                    problems.append((f"positions[{k}]", f"expected {name} within [{low:g}, {high:g}], got {value:g}"))
-        return problems
+        if self.positions_m is not None:
+            return cartesian_problems(self.positions_m, self.array.frame(self.wavelength), sides)
+        return spherical_problems(positions, sides)
 
 
 def _rows(rng: np.random.Generator, count: int, length: int) -> Complex[ndarray, "count length"]:
@@ -282,7 +308,7 @@ def _rows(rng: np.random.Generator, count: int, length: int) -> Complex[ndarray,
 
 
 def _interval(
-    name: str, interval: tuple[float, float] | None, smallest: float, largest: float
+    name: str, interval: tuple[float, float] | None, smallest: float, largest: float, widest: float = math.inf
 ) -> list[tuple[str, str]]:
     """Return the errors in one interval of the box as (path, message) pairs."""
     if interval is None:
@@ -294,4 +320,6 @@ def _interval(
         return [(name, f"expected ranges greater than 0, got [{low:g}, {high:g}]")]
     if low < smallest or high > largest:
         return [(name, f"expected an interval within [{smallest:g}, {largest:g}], got [{low:g}, {high:g}]")]
+    if high - low > widest:
+        return [(name, f"expected an interval of at most {widest:g}°, got [{low:g}, {high:g}]")]
     return []

@@ -34,8 +34,18 @@ from nfbench.problems.near_field.scenario import NearField
 from nfbench.problems.near_field.search import resolution_grid
 
 APART = 2.0  # degrees
-CENTRED = replace(PLANE, array=ULA(128, 0.25, "center"), wavefront="exact", min_separation_deg=APART)
-FIRST = replace(PLANE, array=ULA(128, 0.25, "first"), wavefront="paper", min_separation_deg=APART)
+CENTRED = replace(
+    PLANE,
+    array=ULA(elements=128, spacing_wavelengths=0.25, origin="center"),
+    wavefront="exact",
+    min_separation_deg=APART,
+)
+FIRST = replace(
+    PLANE,
+    array=ULA(elements=128, spacing_wavelengths=0.25, origin="first"),
+    wavefront="paper",
+    min_separation_deg=APART,
+)
 PLANAR = replace(SPACE, min_separation_deg=APART)
 CASES: dict[str, tuple[NearField, tuple[float, ...]]] = {
     "ULA 128, exact, centre": (CENTRED, (-5.0, 0.0, 10.0, 20.0, 30.0, 40.0)),

@@ -241,3 +241,55 @@ def test_where_the_cache_cannot_be_written_again_the_folder_is_named(tmp_path):
     with pytest.raises(subprocess.CalledProcessError) as error:
         package.run()
     assert f"compiled code is kept in {folder}" in error.value.stderr
+
+
+MANY = """
+import os
+from numba import types
+from nfbench import compiled, load_kernels
+{start}
+@compiled()
+def f0(x):
+    return x
+@compiled()
+def f1(x):
+    return f0(x) + 1.0
+@compiled()
+def f2(x):
+    return f1(x) * f1(x)
+@compiled()
+def f3(x):
+    return f2(x) + f0(x)
+@compiled()
+def f4(x):
+    return f3(x) * 2.0
+parent, kernels = os.getpid(), [f0, f1, f2, f3, f4]
+load_kernels([(kernel, (types.float64,)) for kernel in kernels], "compiling")
+try:
+    children = os.waitpid(-1, os.WNOHANG)
+except ChildProcessError:
+    children = "none"
+hits = sum(len(kernel.stats.cache_hits) for kernel in kernels)
+print(os.getpid() == parent, [kernel(2.0) for kernel in kernels], hits, children)
+"""
+
+
+@pytest.mark.parametrize(
+    "start",
+    [
+        "",
+        "fork = os.fork; os.fork = lambda: fork() or os._exit(1)",  # the second process dies at once
+        "os.sched_getaffinity = lambda pid: {0}",
+    ],
+    ids=["two processes", "the second one dies", "one processor"],
+)
+def test_many_kernels_are_all_compiled_once_and_no_process_remains(tmp_path, start):
+    for hits in (None, "5"):
+        (tmp_path / "many.py").write_text(MANY.format(start=start))
+        done = subprocess.run(
+            [sys.executable, "-c", "import many"], cwd=tmp_path, env=ENVIRONMENT, capture_output=True, text=True
+        )
+        assert done.returncode == 0, done.stderr
+        words = done.stdout.strip().rsplit(maxsplit=2)
+        assert words[0] == "True [2.0, 3.0, 9.0, 11.0, 22.0]" and words[2] == "none", done.stdout
+        assert hits is None or (words[1] == hits and done.stderr == "")

@@ -146,7 +146,7 @@ SCORES = {
     "column": "score: 'status' is the name of another column",
     "swept-column": "score: 'scenario.noise' is the name of another column",
     "vector": "score: expected a real number for 'x', got ndarray",
-    "many": "score: expected at most 1,000 columns, got 5,001",
+    "many": "score: expected at most 10,000 columns, got 20,001",
     "none": "score: expected a dict of numbers by column name, got NoneType",
     "list": "score: expected a dict of numbers by column name, got list",
 }

@@ -31,6 +31,11 @@ def blob(content):
     return damage
 
 
+def placed(run_id, truth, estimated):
+    """A damage that gives every run positions."""
+    return sql(f"INSERT INTO positions SELECT {run_id}, {truth}, {estimated} FROM plan")
+
+
 def edited(change, name=FILE):
     """A damage of a file's bytes: ``change`` gets a bytearray."""
 
@@ -165,6 +170,16 @@ KINDS = {
     "labels that are not UTF-8": sql("UPDATE plan SET method = CAST(x'c328' AS TEXT)"),
     "control characters": sql("UPDATE results SET message = 'a' || char(27, 13, 10, 0) || '[/]', status = 'failed'"),
     "labels are markup": sql("UPDATE plan SET method = '[/bold' || char(27) || ordinal || ']$x_' || char(0)"),
+    # positions
+    "positions dropped": sql("DROP TABLE positions"),
+    "positions of unknown runs": placed("'x' || run_id", "'[]'", "'[]'"),
+    "positions in the plane": placed("run_id", "'[[1, 2]]'", "'[[1, 2]]'"),
+    "positions are text": placed("run_id", "'[[1, 2, 3]]'", '\'[["x", "y", "z"]]\''),
+    "positions are null": placed("run_id", "'null'", "'null'"),
+    "positions are a blob": placed("run_id", "x'00ff'", "'[]'"),
+    "positions are nested deeply": placed("run_id", f"'{'[' * 100_000}'", "'[]'"),
+    "fewer estimates than sources": placed("run_id", "'[[1, 2, 3]]'", "'[]'"),
+    "positions are infinite": placed("run_id", "'[[1, 2, 3]]'", "'[[Infinity, NaN, 1e308]]'"),
     # traces
     "traces are no zlib": blob(b"garbage"),
     "traces are cut": blob(_npz(**GOOD)[:-20]),

@@ -123,7 +123,7 @@ SAID = {  # kind of damage → what the report says
     "text file": "runs.sqlite is damaged (file is not a database); `nfbench merge",
     "database is a pipe": "found a device or pipe of that name; move it away",
     "meta lacks error": "the table meta lacks error; `nfbench run STUDY.toml --out",
-    "newer schema": "expected schema 3, found 99; a newer nfbench wrote it: update nfbench",
+    "newer schema": "expected schema 4, found 99; a newer nfbench wrote it: update nfbench",
     "schema is a word": "expected a number as the schema, found 'two'",
     "endless view": "expected tables only, found the view 'plan'",
     "a score is a word": "column scores: could not convert string to float: 'good'",

@@ -33,7 +33,7 @@ def test_a_file_of_schema_1_is_migrated(folder, manifest):
     with sqlite3.connect(folder / "runs.sqlite") as db:
         db.execute("ALTER TABLE results DROP COLUMN finished")
         db.execute("UPDATE meta SET value = '1' WHERE key = 'schema'")
-    with pytest.raises(StoreError, match="expected schema 2 to 3, found 1; `nfbench run` can update it"):
+    with pytest.raises(StoreError, match="expected schema 2 to 4, found 1; `nfbench run` can update it"):
         nfbench.Results(folder).runs  # noqa: B018
     results = nfbench.run(load_study(manifest(BASIC, repetitions=4)), out=folder, jobs=0)
     assert results.runs.head(3).equals(before) and len(results.runs) == 4

@@ -276,7 +276,7 @@ ODD = {
     "column": {"status": 1.0},
     "swept-column": {"scenario.noise": 1.0},
     "vector": {"x": np.zeros(3)},
-    "many": {f"x{i}": 1.0 for i in range(5000)},
+    "many": {f"x{i}": 1.0 for i in range(20_000)},
     "big": {"x": 10**400, "y": Fraction(1, 3), "z": np.float32(0.5), "t": True},
 }
 

@@ -11,9 +11,9 @@ from numpy import ndarray
 
 from nfbench import Formulation, Ge, Instance, Lt, Minimize, Reference
 
+from ..array_instance import ArrayInstance
 from ..calibration import calibrated
 from ..enumeration import Criterion, Sources, how_many
-from ..instance import NearFieldInstance
 from ..objectives import kernels_conditional
 from ..objectives.conditional_fit import ConditionalFit
 from ..objectives.factors import Objective, factor
@@ -64,7 +64,7 @@ class AlternatingProjection(Formulation):
     amplitude: amplitude over the array that the estimator assumes, "constant", or "spherical", which is r/‖p − q_m‖.
     """
 
-    accepts: ClassVar[type[Instance]] = NearFieldInstance
+    accepts: ClassVar[type[Instance]] = ArrayInstance  # type: ignore[type-abstract]  # any subclass
 
     objective: Objective = "wsf"
     sweeps: Annotated[int, Ge(0)] = 10
@@ -85,12 +85,12 @@ class AlternatingProjection(Formulation):
         if self.refine:
             warm_up_search()
 
-    def estimates(self, instance: NearFieldInstance, X: Float[ndarray, "r n"]) -> Float[ndarray, "r 1 d"] | None:
+    def estimates(self, instance: ArrayInstance, X: Float[ndarray, "r n"]) -> Float[ndarray, "r 1 d"] | None:
         """Return the estimates of a search for one source that is not refined; otherwise None."""
         single = how_many(instance, self.sources, self.criterion, self) == 1
         return X[:, None] if single and not self.refine else None
 
-    def reference(self, instance: NearFieldInstance) -> Reference | None:
+    def reference(self, instance: ArrayInstance) -> Reference | None:
         """Return the certified minimum of the first problem, the fit of one source, to a stated gap."""
         K = how_many(instance, self.sources, self.criterion, self)
         if K == 0:
@@ -99,7 +99,7 @@ class AlternatingProjection(Formulation):
         F = factor(Y, K, self.objective)
         return certified_first_source(F, manifold, instance.lower, instance.upper)
 
-    def solve(self, instance: NearFieldInstance, minimize: Minimize) -> Float[ndarray, "k d"]:
+    def solve(self, instance: ArrayInstance, minimize: Minimize) -> Float[ndarray, "k d"]:
         """Return the sources (K, d) [rad, m] in the order in which the start finds them.
 
         Raises Incompatible if there are fewer snapshots than sources, unless the objective is "dml".

@@ -12,11 +12,11 @@ from numpy import ndarray
 from nfbench import Formulation, Incompatible, Instance, Minimize, Reference, Solution
 
 from .. import search
+from ..array_instance import ArrayInstance
 from ..calibration import calibrated
 from ..certificate import Certificate, certify, certify_one_source, unproven
 from ..certificate import warm_up as warm_up_certificate
 from ..enumeration import Criterion, Sources, how_many
-from ..instance import NearFieldInstance
 from ..subspace import decompose
 from ..wavefronts import Amplitude, Manifold, Wavefront
 
@@ -61,7 +61,7 @@ class Certified(Formulation):
     amplitude: amplitude over the array that the estimator assumes, "constant", or "spherical", which is r/‖p − q_m‖.
     """
 
-    accepts: ClassVar[type[Instance]] = NearFieldInstance
+    accepts: ClassVar[type[Instance]] = ArrayInstance  # type: ignore[type-abstract]  # any subclass
     needs_solver: ClassVar[bool] = False
 
     wavefront: Wavefront | None = None
@@ -78,7 +78,7 @@ class Certified(Formulation):
         search.warm_up()
         warm_up_certificate()
 
-    def solve(self, instance: NearFieldInstance, minimize: Minimize) -> Solution:
+    def solve(self, instance: ArrayInstance, minimize: Minimize) -> Solution:
         """Return the sources (K, d) [rad, m] with the columns above.
 
         Raises Incompatible if there are fewer snapshots than sources, or if the wavefront is planar.

@@ -12,11 +12,10 @@ from numpy import ndarray
 
 from nfbench import Formulation, Ge, Gt, Instance, Le, Minimize, Solution
 
+from ..array_instance import ArrayInstance, ArrayScenario
 from ..calibration import calibrated
 from ..enumeration import Criterion, Sources, how_many
-from ..instance import NearFieldInstance
 from ..objectives.factors import Objective, factor
-from ..scenario import NearField
 from ..search import grid_size, response_grid, search_greedily, standard_errors
 from ..search import warm_up as warm_up_search
 from ..subspace import decompose
@@ -61,7 +60,7 @@ class GridRefine(Formulation):
     amplitude: amplitude over the array that the estimator assumes, "constant", or "spherical", which is r/‖p − q_m‖.
     """
 
-    accepts: ClassVar[type[Instance]] = NearFieldInstance
+    accepts: ClassVar[type[Instance]] = ArrayInstance  # type: ignore[type-abstract]  # any subclass
     needs_solver: ClassVar[bool] = False
 
     density: Annotated[float, Gt(0.0), Le(100.0)] = 1.5
@@ -80,7 +79,7 @@ class GridRefine(Formulation):
     def warm_up(self) -> None:
         warm_up_search()
 
-    def warnings(self, scenario: NearField) -> list[str]:
+    def warnings(self, scenario: ArrayScenario) -> list[str]:
         counts = grid_size(scenario.manifold(), *scenario.box(), self.density)
         M, K, points = scenario.array.count, scenario.sources, math.prod(counts)
         passes = K + min(self.sweeps, 2)  # over the grid: one per source, and one per sweep
@@ -93,7 +92,7 @@ class GridRefine(Formulation):
         text = f"density: the default, {self.density:g}, gives a grid of about {size}"
         return [f"{text}, which takes about {seconds:,.0f} s per run with {M} elements and {K} sources; reduce it"]
 
-    def solve(self, instance: NearFieldInstance, minimize: Minimize) -> Solution:
+    def solve(self, instance: ArrayInstance, minimize: Minimize) -> Solution:
         """Return the sources (K, d) [rad, m] with the columns of ``standard_errors``.
 
         Raises Incompatible if there are fewer snapshots than sources, except with the objective "dml".

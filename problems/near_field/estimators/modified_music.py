@@ -12,11 +12,10 @@ from scipy.linalg import hankel, toeplitz
 
 from nfbench import Formulation, Incompatible, Instance, Minimize
 
+from ..array_instance import ArrayInstance, ArrayScenario
 from ..calibration import calibrated
 from ..enumeration import Criterion, Sources, how_many
-from ..instance import NearFieldInstance
 from ..objectives.rls import RLS
-from ..scenario import NearField
 from ..subspace import signal_subspace
 from ..wavefronts import Amplitude, Manifold, Wavefront
 from .music import SLOW_S, Grid, grid_maxima, search_s
@@ -51,7 +50,7 @@ class ModifiedMusic(Formulation):
     amplitude: amplitude over the array that the estimator assumes, "constant", or "spherical", which is r/‖p − q_m‖.
     """
 
-    accepts: ClassVar[type[Instance]] = NearFieldInstance
+    accepts: ClassVar[type[Instance]] = ArrayInstance  # type: ignore[type-abstract]  # any subclass
     needs_solver: ClassVar[bool] = False
 
     grid: Grid = Grid()  # noqa: RUF009  # frozen
@@ -66,7 +65,7 @@ class ModifiedMusic(Formulation):
     known_positions: bool = False
     amplitude: Amplitude = "constant"
 
-    def warnings(self, scenario: NearField) -> list[str]:
+    def warnings(self, scenario: ArrayScenario) -> list[str]:
         azimuths, ranges = self.grid.counts(2)
         M, K = scenario.array.count, scenario.sources
         seconds = search_s(azimuths, (M + 1) // 2, K) + search_s(ranges * K, M, K)
@@ -75,7 +74,7 @@ class ModifiedMusic(Formulation):
         text = f"grid: the default of {azimuths} azimuths and {ranges} ranges with {M} elements and {K} sources takes"
         return [f"{text} about {seconds:,.0f} s per run; set grid to fewer points"]
 
-    def solve(self, instance: NearFieldInstance, minimize: Minimize) -> Float[ndarray, "k d"]:
+    def solve(self, instance: ArrayInstance, minimize: Minimize) -> Float[ndarray, "k d"]:
         """Return the sources (K, 2) [rad, m], the highest peak in angle first; fewer if there are fewer peaks.
 
         Raises Incompatible if the scenario has elevation, if the array is not a centred ULA along y with a spacing
@@ -110,7 +109,7 @@ class ModifiedMusic(Formulation):
         return estimate
 
 
-def _spacing(instance: NearFieldInstance, manifold: Manifold) -> float:
+def _spacing(instance: ArrayInstance, manifold: Manifold) -> float:
     """Return the spacing δ of the elements along y [m]; raises Incompatible if the method does not apply."""
     if instance.manifold.has_elevation:
         raise Incompatible("elevation_deg: expected none, as modified MUSIC works in the plane only, got an interval")

@@ -15,13 +15,12 @@ from scipy.ndimage import label, maximum_filter
 
 from nfbench import Formulation, Ge, Incompatible, Instance, Le, Minimize, Options
 
+from ..array_instance import ArrayInstance, ArrayScenario
 from ..calibration import calibrated
 from ..enumeration import Criterion, Sources, how_many
-from ..instance import NearFieldInstance
 from ..objectives import kernels
 from ..objectives.general_fit import GeneralFit
 from ..objectives.rls import RLS, flattened
-from ..scenario import NearField
 from ..search import warm_up as warm_up_search
 from ..subspace import compress, signal_subspace
 from ..wavefronts import Amplitude, Manifold, Wavefront
@@ -109,7 +108,7 @@ class Music(Formulation):
     amplitude: amplitude over the array that the estimator assumes, "constant", or "spherical", which is r/‖p − q_m‖.
     """
 
-    accepts: ClassVar[type[Instance]] = NearFieldInstance
+    accepts: ClassVar[type[Instance]] = ArrayInstance  # type: ignore[type-abstract]  # any subclass
     needs_solver: ClassVar[bool] = False
 
     grid: Grid = Grid()
@@ -127,7 +126,7 @@ class Music(Formulation):
     def warm_up(self) -> None:
         warm_up_search()
 
-    def warnings(self, scenario: NearField) -> list[str]:
+    def warnings(self, scenario: ArrayScenario) -> list[str]:
         d = 2 if scenario.elevation_deg is None else 3
         counts = self.grid.counts(d)
         seconds = search_s(math.prod(counts), scenario.array.count, scenario.sources)
@@ -138,7 +137,7 @@ class Music(Formulation):
         text = f"grid: the default of {size} points with {scenario.array.count} elements takes about {seconds:,.0f} s"
         return [f"{text} per run; set grid to fewer points in {names}, or state these numbers if they are intended"]
 
-    def solve(self, instance: NearFieldInstance, minimize: Minimize) -> Float[ndarray, "k d"]:
+    def solve(self, instance: ArrayInstance, minimize: Minimize) -> Float[ndarray, "k d"]:
         """Return the sources (K, d) [rad, m], the highest peak first; fewer if the grid has fewer local maxima.
 
         Raises Incompatible if there are fewer snapshots than sources, or if the grid has elevations and the scenario

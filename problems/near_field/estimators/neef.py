@@ -11,9 +11,9 @@ from numpy import ndarray
 
 from nfbench import Formulation, Instance, Minimize, Reference
 
+from ..array_instance import ArrayInstance
 from ..calibration import calibrated
 from ..enumeration import Criterion, Sources, how_many
-from ..instance import NearFieldInstance
 from ..objectives.factors import Objective, factor
 from ..objectives.subspace_fitting import SubspaceFit
 from ..search import warm_up as warm_up_search
@@ -49,7 +49,7 @@ class Neef(Formulation):
     amplitude: amplitude over the array that the estimator assumes, "constant", or "spherical", which is r/‖p − q_m‖.
     """
 
-    accepts: ClassVar[type[Instance]] = NearFieldInstance
+    accepts: ClassVar[type[Instance]] = ArrayInstance  # type: ignore[type-abstract]  # any subclass
 
     objective: Objective = "esf"
     wavefront: Wavefront | None = None
@@ -63,14 +63,14 @@ class Neef(Formulation):
     known_positions: bool = False
     amplitude: Amplitude = "constant"
 
-    def estimates(self, instance: NearFieldInstance, X: Float[ndarray, "r n"]) -> Float[ndarray, "r k d"] | None:
+    def estimates(self, instance: ArrayInstance, X: Float[ndarray, "r n"]) -> Float[ndarray, "r k d"] | None:
         return None if self.refine else X.reshape(len(X), -1, instance.manifold.dimension)
 
     def warm_up(self) -> None:
         if self.refine:
             warm_up_search()
 
-    def reference(self, instance: NearFieldInstance) -> Reference | None:
+    def reference(self, instance: ArrayInstance) -> Reference | None:
         """Return the certified minimum of ESF; None where no proof is known.
 
         These are the other objectives, and responses whose modulus is not 1, as those of known gains.
@@ -85,7 +85,7 @@ class Neef(Formulation):
         columns = {"regions": float(found.regions), "certificate_evaluations": float(found.evaluations)}
         return Reference(found.J, found.gap, found.certified, found.theta.ravel(), found.step, columns)
 
-    def solve(self, instance: NearFieldInstance, minimize: Minimize) -> Float[ndarray, "k d"]:
+    def solve(self, instance: ArrayInstance, minimize: Minimize) -> Float[ndarray, "k d"]:
         """Return the sources (K, d) [rad, m].
 
         Raises Incompatible if there are fewer snapshots than sources, except for "dml".

@@ -12,9 +12,9 @@ from numpy import ndarray
 
 from nfbench import Formulation, Ge, Instance, Lt, Minimize, Reference
 
+from ..array_instance import ArrayInstance
 from ..calibration import calibrated
 from ..enumeration import Criterion, Sources, how_many
-from ..instance import NearFieldInstance
 from ..objectives import kernels_conditional
 from ..objectives.rls import RLS, deflate
 from ..search import warm_up as warm_up_search
@@ -63,7 +63,7 @@ class Nemo(Formulation):
     amplitude: amplitude over the array that the estimator assumes, "constant", or "spherical", which is r/‖p − q_m‖.
     """
 
-    accepts: ClassVar[type[Instance]] = NearFieldInstance
+    accepts: ClassVar[type[Instance]] = ArrayInstance  # type: ignore[type-abstract]  # any subclass
 
     alpha: Annotated[float, Ge(0.0), Lt(math.inf)] = 1000.0
     alpha_relative: Annotated[float, Ge(0.0), Lt(math.inf)] | None = None
@@ -81,7 +81,7 @@ class Nemo(Formulation):
     known_positions: bool = False
     amplitude: Amplitude = "constant"
 
-    def estimates(self, instance: NearFieldInstance, X: Float[ndarray, "r n"]) -> Float[ndarray, "r 1 d"] | None:
+    def estimates(self, instance: ArrayInstance, X: Float[ndarray, "r n"]) -> Float[ndarray, "r 1 d"] | None:
         """Return the estimates of a search for one source; with more sources, or if it may be discarded, None."""
         single = how_many(instance, self.sources, self.criterion, self) == 1
         return None if self.refine or self.stop_below is not None or not single else X[:, None]
@@ -92,14 +92,14 @@ class Nemo(Formulation):
         if self.relax:
             kernels_conditional.warm_up()
 
-    def reference(self, instance: NearFieldInstance) -> Reference | None:
+    def reference(self, instance: ArrayInstance) -> Reference | None:
         """Return the certified minimum of the first problem, RLS of one source to a stated gap."""
         if how_many(instance, self.sources, self.criterion, self) == 0:
             return None
         Y, manifold = calibrated(instance, self)
         return certified_first_source(compress(Y), manifold, instance.lower, instance.upper)
 
-    def solve(self, instance: NearFieldInstance, minimize: Minimize) -> Float[ndarray, "k d"]:
+    def solve(self, instance: ArrayInstance, minimize: Minimize) -> Float[ndarray, "k d"]:
         """Return the sources (K, d) [rad, m] in the order of their detection."""
         received, manifold = calibrated(instance, self)
         data = Y = compress(received)

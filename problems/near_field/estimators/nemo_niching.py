@@ -11,9 +11,9 @@ from numpy import ndarray
 
 from nfbench import Formulation, Incompatible, Instance, Minimize
 
+from ..array_instance import ArrayInstance
 from ..calibration import calibrated
 from ..enumeration import Criterion, Sources, how_many
-from ..instance import NearFieldInstance
 from ..objectives.rls import RLS
 from ..search import warm_up as warm_up_search
 from ..subspace import compress
@@ -49,7 +49,7 @@ class NemoNiching(Formulation):
     amplitude: amplitude over the array that the estimator assumes, "constant", or "spherical", which is r/‖p − q_m‖.
     """
 
-    accepts: ClassVar[type[Instance]] = NearFieldInstance
+    accepts: ClassVar[type[Instance]] = ArrayInstance  # type: ignore[type-abstract]  # any subclass
 
     refine: bool = False
     wavefront: Wavefront | None = None
@@ -65,7 +65,7 @@ class NemoNiching(Formulation):
     def warm_up(self) -> None:
         warm_up_search()
 
-    def solve(self, instance: NearFieldInstance, minimize: Minimize) -> Float[ndarray, "k d"]:
+    def solve(self, instance: ArrayInstance, minimize: Minimize) -> Float[ndarray, "k d"]:
         """Return the sources (K, d) [rad, m], the deepest minimum first; fewer if the population is smaller.
 
         Raises Incompatible if the solver does not report a population.

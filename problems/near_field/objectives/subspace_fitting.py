@@ -67,6 +67,7 @@ class SubspaceFit(Problem):
         self.manifold = manifold
         self.sources = K
         self.lower, self.upper = np.tile(lower, K), np.tile(upper, K)
+        self._no_gradients = np.empty((0, K * manifold.dimension))
         kernels.warm_up()
         if not manifold.has_unit_modulus:
             general = GeneralFit(F, manifold, K, least=RANK)
@@ -77,18 +78,27 @@ class SubspaceFit(Problem):
         self._kernel = partial(kernels.misfit, *fit)
         self._kernel_one = partial(kernels.misfit_one, *fit)
         self._kernel_and_gradient = partial(kernels.misfit_and_gradient, *fit)
+        self._fill_singular = partial(kernels.fill_singular, *fit)
 
     def evaluate(self, X: Float[ndarray, "p n"]) -> Float[ndarray, " p"]:
         J: Float[ndarray, " p"] = self._kernel(X)
+        if len(J) and J.min() < 0:
+            self._fill_singular(X, J, self._no_gradients)
         return J
 
     def value(self, x: Float[ndarray, " n"]) -> float:
         J: float = self._kernel_one(x)
-        return J
+        return self._singular(x, self._no_gradients) if J < 0 else J
 
     def value_and_gradient(self, x: Float[ndarray, " n"]) -> tuple[float, Float[ndarray, " n"]]:
         J, gradient = self._kernel_and_gradient(x)
-        return J, gradient
+        return self._singular(x, gradient[None]) if J < 0 else J, gradient
+
+    def _singular(self, x: Float[ndarray, " n"], gradient: Float[ndarray, "q n"]) -> float:
+        """Return J of a candidate whose G is nearly singular, and write ∂J into the row of ``gradient``, if any."""
+        J = np.array([-1.0])
+        self._fill_singular(x[None], J, gradient)
+        return float(J[0])
 
 
 def _energy(F: Complex[ndarray, "m c"]) -> float:

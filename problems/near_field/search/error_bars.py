@@ -8,6 +8,7 @@ from jaxtyping import Complex, Float
 from numpy import ndarray
 
 from ..bounds import position_bounds
+from ..rounding import next_to_element
 from ..wavefronts import Manifold
 from . import general, kernels
 from .local_search import unit_of
@@ -28,7 +29,8 @@ def standard_errors(
     """Return the standard errors of estimated positions [m], by the names of their columns.
 
     std_1_m, std_2_m, …: standard deviation √(r²cos²ψ·C_φφ + r²·C_ψψ + C_rr) of the position of each estimate, in the
-        order of the estimates; NaN if it lies on an edge of the box, or if the data do not determine it.
+        order of the estimates; NaN if it lies on an edge of the box, or if the data do not determine it. All are NaN if
+        one lies on an element, or is nearer to it than a thousandth of its range.
     std_m: root mean square of these; NaN if one of them is NaN.
 
     The arguments are those of ``covariance``.
@@ -56,7 +58,8 @@ def covariance(
     With H(F) = Re[(DᴴP⊥D) ⊙ (A⁺FFᴴA⁺ᴴ)ᵀ] at the estimate it is (σ²/2T)·H(F)⁻¹·H(G)·H(F)⁻¹. For F = L/√T, LLᴴ = YYᴴ,
     and for WSF, F = U_s·diag((λ_i − σ²)/√λ_i), G is F: what is left, (σ²/2T)·H⁻¹, tends to the deterministic and to the
     stochastic Cramér–Rao bound. For F = U_s·diag(w_i), G = U_s·diag(w_i²·√λ_i/(λ_i − σ²)) (Viberg & Ottersten 1991,
-    doi:10.1109/78.80966). All elements are NaN if the data do not determine the sources.
+    doi:10.1109/78.80966). All elements are NaN if the data do not determine the sources, or if an exact wavefront has
+    no reliable curvature because a source is nearer to an element than a thousandth of its range.
 
     theta: estimated sources [rad, m], shape (K, d).
     manifold: array and wavefront model.
@@ -74,5 +77,5 @@ def covariance(
         C = kernels.inverse_curvature(*manifold.packed, F, G, lower, upper, unit_of(manifold), theta.ravel())
     else:
         C = general.inverse_curvature(manifold, F, G, lower, upper, theta)
-    C *= noise / (2 * snapshots)
+    C *= math.nan if next_to_element(manifold, theta) else noise / (2 * snapshots)
     return C

@@ -11,6 +11,8 @@ import numpy as np
 from jaxtyping import Complex, Float
 from numpy import ndarray
 
+from nfbench import Incompatible
+
 from ..geometry import direction_derivatives
 from ..wavefronts import Manifold, Wavefront
 from . import kernels
@@ -19,6 +21,7 @@ from .local_search import resolution
 __all__ = ["ResponseGrid", "grid_size", "resolution_grid", "response_grid"]
 
 SAMPLES = 61  # directions along each angle at which the beamwidth is computed
+LARGEST_GRID = 10**8  # points, 2.4 GB
 LARGEST_TABLE = 64 * 2**20  # bytes; the responses of a larger grid are computed whenever they are needed
 BLOCK = 2**21  # complex numbers of responses computed at once
 REMEMBERED = 4  # grids, each of one array, wavefront, box and density
@@ -108,11 +111,22 @@ def resolution_grid(
     lower: lower bounds of one source [rad, m], shape (d,).
     upper: upper bounds of one source [rad, m], shape (d,).
     density: number of grid points per beamwidth in each angle, and per depth of focus in inverse range.
+
+    Raises Incompatible if the grid would have more than 10^8 points.
     """
-    axes = []
-    for axis, beamwidths in _beamwidths(manifold, lower, upper):
-        axes.append(np.interp(_uniform(0.0, beamwidths[-1], density), beamwidths, axis))
+    sides = _beamwidths(manifold, lower, upper)
     depth = resolution(manifold)[1]
+    extents = [*(beamwidths[-1] for _, beamwidths in sides), (1 / lower[-1] - 1 / upper[-1]) / depth]
+    counts = [max(math.ceil(extent * density), 1) + 1 for extent in extents]
+    if math.prod(counts) > LARGEST_GRID:
+        size = " × ".join(f"{count:,}" for count in counts)
+        raise Incompatible(
+            f"the grid that resolves the box would have {size} points, more than {LARGEST_GRID:,}; check the units of "
+            f"the positions and the wavelength, make the box smaller, or reduce density"
+        )
+    axes = []
+    for axis, beamwidths in sides:
+        axes.append(np.interp(_uniform(0.0, beamwidths[-1], density), beamwidths, axis))
     axes.append(1 / (_uniform(1 / upper[-1] / depth, 1 / lower[-1] / depth, density) * depth))
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(lower))
 

@@ -90,7 +90,7 @@ def test_a_file_is_replaced_by_its_positions(tmp_path, suffix):
         ("", "expected at least 2 rows"),
         ("0,0\n0,1\n", r"shape \(2, 2\)"),
         ("0,0,0\n0,1\n", "expected rows of three numbers"),
-        ("x,y,z\n0,0,0\n0,1,0\n", "expected rows of three numbers, but reading it failed: could not convert"),
+        ("a,b,c\n0,0,0\n0,1,0\n", "expected rows of three numbers, but reading it failed: the header names no coord"),
         ("0,0,0\n0,nan,0\n", "expected finite positions, got .*nan.* in row 1"),
         ("0,0,0\n0,1,0\n0,inf,0\n", "expected finite positions, got .*inf.* in row 2"),
         ("0,1,0\n0,2,0\n0,1,0\n", "expected distinct positions"),

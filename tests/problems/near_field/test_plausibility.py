@@ -88,8 +88,8 @@ UNUSUAL = {
     "in the x-y plane": (
         {"array": plane(0, 1), "elevation_deg": [5, 30], **NEAR},
         "array: its elements lie in a plane that contains the x axis, from which azimuths are measured and which is "
-        "assumed to be the broadside (for example the x-y plane); turn the positions so that the array lies in the "
-        "y-z plane",
+        "assumed to be the broadside (for example the x-y plane); set broadside to the direction in front of the "
+        'array, for example "+z" or "-z"',
     ),
     "in the x-z plane": ({"array": plane(0, 2), "azimuth_deg": [5, 60], **NEAR}, "in a plane that contains the x axis"),
     "along x": ({"array": line([1, 0, 0]), "azimuth_deg": [5, 60], **NEAR}, "array: its elements lie on a line along"),

@@ -183,7 +183,8 @@ def test_an_impossible_separation_is_refused_before_anything_is_drawn():
         ({"rician_k": 0.0}, "rician_k: .*got 0"),
         ({"rician_k": -1.0}, "rician_k: .*got -1"),
         ({"azimuth_deg": [60, -60]}, r"azimuth_deg: expected \[low, high\] with low < high, got \[60, -60\]"),
-        ({"azimuth_deg": [-181, 60]}, r"azimuth_deg: expected an interval within \[-180, 180\], got \[-181, 60\]"),
+        ({"azimuth_deg": [-361, 60]}, r"azimuth_deg: expected an interval within \[-360, 360\], got \[-361, 60\]"),
+        ({"azimuth_deg": [-200, 161]}, r"azimuth_deg: expected an interval of at most 360°, got \[-200, 161\]"),
         ({"elevation_deg": [-30, 91]}, r"elevation_deg: expected an interval within \[-90, 90\], got \[-30, 91\]"),
         ({"range_m": [0, 5]}, "range_m: expected ranges greater than 0"),
         ({"range_m": [5, 5]}, "range_m: expected .*low < high"),
@@ -309,8 +310,11 @@ def test_scores_follow_from_the_best_assignment(seed, sources, found, spread_m, 
     scores = instance.score(estimate)
     errors = errors_by_brute_force(instance, estimate)
     names = ["rmse_m", "gospa_m", "sources", "sources_found"]
-    assert list(scores) == [*names, *(f"error_{k}_m" for k in range(1, sources + 1)), "floor_m"]
-    assert_allclose(list(scores.values())[4:-1], errors, rtol=1e-9)
+    parameters = ["azimuth_rmse_deg", "range_rmse_m"]
+    for k in range(1, sources + 1):
+        parameters += [f"azimuth_error_{k}_deg", f"range_error_{k}_m"]
+    assert list(scores) == [*names, *(f"error_{k}_m" for k in range(1, sources + 1)), *parameters, "floor_m"]
+    assert_allclose(list(scores.values())[4 : 4 + sources], errors, rtol=1e-9)
     assert np.isnan(errors).sum() == max(sources - found, 0)
     matched = errors[~np.isnan(errors)]
     rmse = math.sqrt(np.mean(matched**2)) if found else math.nan

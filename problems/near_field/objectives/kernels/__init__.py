@@ -22,13 +22,14 @@ from .rls import (
     repulsion,
     repulsion_one,
 )
-from .subspace_fitting import misfit, misfit_and_gradient, misfit_one
+from .subspace_fitting import fill_singular, misfit, misfit_and_gradient, misfit_one
 
 __all__ = [
     "LANES",
     "NEAR",
     "WAVEFRONTS",
     "advance_slopes",
+    "fill_singular",
     "misfit",
     "misfit_and_gradient",
     "misfit_one",
@@ -65,10 +66,11 @@ _SIGNATURES: list[tuple[Any, tuple[Any, ...]]] = [
     (misfit, (*_ARRAY, *_FACTOR, _POINTS)),
     (misfit_one, (*_ARRAY, *_FACTOR, _POINT)),
     (misfit_and_gradient, (*_ARRAY, *_FACTOR, _POINT)),
+    (fill_singular, (*_ARRAY, *_FACTOR, _POINTS, _VECTOR, _MATRIX)),
 ]
 
 
 @cache
 def warm_up() -> None:
     """Load every kernel from the cache, or compile it and say so on stderr; nothing is compiled after this."""
-    load_kernels(_SIGNATURES, "compiling kernels (once per machine, some 15 s)")
+    load_kernels(_SIGNATURES, "compiling kernels (once per machine, some 10 s)")

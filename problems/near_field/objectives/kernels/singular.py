@@ -20,7 +20,7 @@ from .inner_products import SUMS, gram_row
 from .packing import ArrayModel
 from .response_vectors import respond, source_at
 
-__all__ = ["RANK", "orthogonalize", "singular_fit", "singular_misfit", "source_order"]
+__all__ = ["RANK", "orthogonalize", "singular_fit", "source_order"]
 
 RANK = 1e-16
 """The squared distance of a response from the span of others, relative to M, below which it adds nothing to the span.
@@ -137,7 +137,7 @@ def _decompose(
 
 
 @compiled()
-def singular_misfit(
+def singular_fit(
     array: ArrayModel,
     energy: float,
     rows: Float[ndarray, "2 rows padded"],
@@ -145,39 +145,30 @@ def singular_misfit(
     W: Complex[ndarray, "k c"],
     X: Float[ndarray, "p n"],
     i: int,
-) -> float:
-    """J of candidate i."""
-    K = len(W)
-    _, explained = _decompose(array, rows, h, W, X, i, source_order(X, i, K), np.empty((K, K), np.complex128))
-    return max(energy - explained, 0.0)
-
-
-@compiled()
-def singular_fit(
-    array: ArrayModel,
-    energy: float,
-    rows: Float[ndarray, "2 rows padded"],
-    h: Complex[ndarray, " rows"],
-    W: Complex[ndarray, "k c"],
-    X: Float[ndarray, "1 n"],
+    amplitudes: bool,
 ) -> tuple[float, Complex[ndarray, "k c"], Int[ndarray, " k"]]:
-    """J, the rows of C = A⁺F and the sources that they belong to; leaves Q in ``rows`` after F, and W = QᴴF.
+    """J of candidate i, the rows of C = A⁺F and the sources that they belong to; C has no rows unless ``amplitudes``.
+
+    Leaves Q in ``rows`` after F, and W = QᴴF.
 
     A⁺ = R⁺Qᴴ is the pseudo-inverse: sources that coincide share one amplitude equally. With Rᴴ = Z·S, again by
     Gram–Schmidt, R⁺ = Z·S⁻ᴴ.
     """
     K, columns = W.shape
-    order, R = source_order(X, 0, K), np.empty((K, K), np.complex128)
-    rank, explained = _decompose(array, rows, h, W, X, 0, order, R)
+    order, R = source_order(X, i, K), np.empty((K, K), np.complex128)
+    rank, explained = _decompose(array, rows, h, W, X, i, order, R)
+    J = max(energy - explained, 0.0)
+    if not amplitudes:
+        return J, np.empty((0, columns), np.complex128), order
     rows_of_R = R[:rank].conj()  # the columns of Rᴴ
     Z, S, pivots = np.empty((rank, K), np.complex128), np.empty((rank, rank), np.complex128), np.empty(rank, np.int64)
     C, y = np.zeros((K, columns), np.complex128), np.zeros((rank, columns), np.complex128)
     for j in range(orthogonalize(rows_of_R, 0.0, Z, S, pivots)):
         for c in range(columns):
             w = W[pivots[j], c]
-            for i in range(j):  # y = S⁻ᴴW
-                w -= S[i, pivots[j]].conjugate() * y[i, c]
+            for k in range(j):  # y = S⁻ᴴW
+                w -= S[k, pivots[j]].conjugate() * y[k, c]
             y[j, c] = w / S[j, pivots[j]].real
             for k in range(K):
                 C[k, c] += Z[j, k] * y[j, c]
-    return max(energy - explained, 0.0), C, order
+    return J, C, order

@@ -26,9 +26,15 @@ from nfbench import compiled
 from .inner_products import SUMS, gram_row, uint
 from .packing import LANES, ROWS, ArrayModel
 from .response_vectors import Source, phase_gradient, respond, source_at
-from .singular import singular_fit, singular_misfit
+from .singular import singular_fit
 
-__all__ = ["SINGULAR", "misfit", "misfit_and_gradient", "misfit_one"]
+__all__ = [
+    "SINGULAR",
+    "fill_singular",
+    "misfit",
+    "misfit_and_gradient",
+    "misfit_one",
+]
 
 SINGULAR = 1e-5
 """The value of det(G)/M^K below which a candidate is left to ``singular``.
@@ -112,14 +118,11 @@ def misfit(
     W: Complex[ndarray, "k c"],
     X: Float[ndarray, "p n"],
 ) -> Float[ndarray, " p"]:
-    """J of p candidates (p, n) [rad, m]."""
+    """J of p candidates (p, n) [rad, m]; −1 for those that are left to ``fill_singular``."""
     array = ArrayModel(wavelength, wavefront, geometry, M)
     J = np.empty(len(X))
     for i in range(len(X)):
         J[i] = _misfit(array, energy, rows, h, L, W, X, i)
-    for i in range(len(X)):
-        if J[i] < 0.0:
-            J[i] = singular_misfit(array, energy, rows, h, W, X, i)
     return J
 
 
@@ -136,11 +139,9 @@ def misfit_one(
     W: Complex[ndarray, "k c"],
     x: Float[ndarray, " n"],
 ) -> float:
-    """J of one candidate (n,) [rad, m]."""
+    """J of one candidate (n,) [rad, m]; −1 if it is left to ``fill_singular``."""
     array = ArrayModel(wavelength, wavefront, geometry, M)
-    X = np.expand_dims(x, 0)
-    J = _misfit(array, energy, rows, h, L, W, X, 0)
-    return singular_misfit(array, energy, rows, h, W, X, 0) if J < 0.0 else J
+    return _misfit(array, energy, rows, h, L, W, np.expand_dims(x, 0), 0)
 
 
 @compiled(SUMS)
@@ -206,29 +207,6 @@ def _slope(
     phase_gradient(array, source, z, gradient)
 
 
-@compiled()
-def _singular_misfit_and_gradient(
-    array: ArrayModel,
-    energy: float,
-    rows: Float[ndarray, "2 rows padded"],
-    h: Complex[ndarray, " rows"],
-    W: Complex[ndarray, "k c"],
-    X: Float[ndarray, "1 n"],
-    z: Float[ndarray, "2 1 padded"],
-    gradient: Float[ndarray, " n"],
-) -> float:
-    """J, and ∂J into ``gradient``, of a candidate whose G is nearly singular."""
-    J, C, order = singular_fit(array, energy, rows, h, W, X)
-    a = np.empty_like(z)
-    d = X.shape[1] // len(W)
-    for j in range(len(W)):
-        first = order[j] * d
-        source = source_at(X, 0, first, d, array.wavelength)
-        respond(array, source, a, 0)
-        _slope(array, source, a, 0, rows, W, C, j, h, z, gradient[first : first + d])
-    return J
-
-
 @compiled(SUMS)
 def misfit_and_gradient(
     wavelength: float,
@@ -242,7 +220,10 @@ def misfit_and_gradient(
     W: Complex[ndarray, "k c"],
     x: Float[ndarray, " n"],
 ) -> tuple[float, Float[ndarray, " n"]]:
-    """J and ∂J = −2Re tr(Vᴴ·∂A·C) of one candidate: C = A⁺F, V = F − AC, and θ_k moves column k of A alone."""
+    """J and ∂J = −2Re tr(Vᴴ·∂A·C) of one candidate: C = A⁺F, V = F − AC, and θ_k moves column k of A alone.
+
+    J = −1 if the candidate is left to ``fill_singular``.
+    """
     array = ArrayModel(wavelength, wavefront, geometry, M)
     X = np.expand_dims(x, 0)
     K, columns = W.shape
@@ -251,7 +232,6 @@ def misfit_and_gradient(
     z = np.empty((2, 1, geometry.shape[1]))
     J = _misfit(array, energy, rows, h, L, W, X, 0)
     if J < 0.0:
-        J = _singular_misfit_and_gradient(array, energy, rows, h, W, X, z, gradient)
         K = 0
     for j in range(K - 1, -1, -1):  # C = L⁻ᴴW, in the place of W
         for c in range(columns):
@@ -263,3 +243,35 @@ def misfit_and_gradient(
         source = source_at(X, 0, k * d, d, wavelength)
         _slope(array, source, rows, columns + k, rows, W, W, k, h, z, gradient[k * d : (k + 1) * d])
     return J, gradient
+
+
+@compiled(SUMS)
+def fill_singular(
+    wavelength: float,
+    wavefront: int,
+    geometry: Float[ndarray, "4 padded"],
+    M: int,
+    energy: float,
+    rows: Float[ndarray, "2 rows padded"],
+    h: Complex[ndarray, " rows"],
+    L: Complex[ndarray, "k k"],
+    W: Complex[ndarray, "k c"],
+    X: Float[ndarray, "p n"],
+    J: Float[ndarray, " p"],
+    gradients: Float[ndarray, "q n"],
+) -> None:
+    """Put J of the candidates left to this kernel in the place of −1, and ∂J of the first q of them into ``gradients``.
+
+    One kernel for values and gradients, because it takes seconds to compile.
+    """
+    array = ArrayModel(wavelength, wavefront, geometry, M)
+    a = np.empty((2, 1, geometry.shape[1]))
+    z, d = np.empty_like(a), X.shape[1] // len(W)
+    for i in range(len(X)):
+        if J[i] < 0.0:
+            J[i], C, order = singular_fit(array, energy, rows, h, W, X, i, i < len(gradients))
+            for j in range(len(C)):
+                first = order[j] * d
+                source = source_at(X, i, first, d, wavelength)
+                respond(array, source, a, 0)
+                _slope(array, source, a, 0, rows, W, C, j, h, z, gradients[i, first : first + d])

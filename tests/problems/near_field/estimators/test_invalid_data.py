@@ -27,7 +27,7 @@ MESSAGE = "Y: expected finite data, got NaN or infinite entries"
 def formulations() -> dict[str, type[Formulation]]:
     """The formulations that accept near-field instances."""
     found = {entry.name: entry.load() for entry in entry_points(group="nfbench.formulations")}
-    return {name: kind for name, kind in found.items() if kind.accepts is NearFieldInstance}
+    return {name: kind for name, kind in found.items() if issubclass(NearFieldInstance, kind.accepts)}
 
 
 FORMULATIONS = [(name, {}) for name in formulations()]

@@ -21,8 +21,18 @@ from nfbench.problems.near_field.subspace import signal_subspace
 from nfbench.problems.near_field.wavefronts import Manifold
 
 WAVELENGTH = 0.02
-PLANE = Manifold(ULA(24, 0.25, "first").place(WAVELENGTH), WAVELENGTH, "exact", has_elevation=False)
-SPACE = Manifold(UPA(4, 5, 0.5, "center").place(WAVELENGTH), WAVELENGTH, "fresnel", has_elevation=True)
+PLANE = Manifold(
+    ULA(elements=24, spacing_wavelengths=0.25, origin="first").place(WAVELENGTH),
+    WAVELENGTH,
+    "exact",
+    has_elevation=False,
+)
+SPACE = Manifold(
+    UPA(columns=4, rows=5, spacing_wavelengths=0.5, origin="center").place(WAVELENGTH),
+    WAVELENGTH,
+    "fresnel",
+    has_elevation=True,
+)
 BOX = {2: (np.array([-1.0, 0.5]), np.array([1.0, 10.0])), 3: (np.array([-1.0, -0.5, 0.5]), np.array([1.0, 0.5, 10.0]))}
 OBJECTIVES = pytest.mark.parametrize("objective", ["esf", "wsf", "dml"])
 MANIFOLDS = pytest.mark.parametrize("manifold", [PLANE, SPACE], ids=["2d", "3d"])

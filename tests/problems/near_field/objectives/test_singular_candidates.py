@@ -55,7 +55,13 @@ CASES = [
     (ula(24), 23, None),
     (ula(24), 24, None),
     (ula(24), 30, 24),
-    (Manifold(UCA(9, 2.0, "center").place(WAVELENGTH), WAVELENGTH, "paper", False), 8, None),
+    (
+        Manifold(
+            UCA(elements=9, radius_wavelengths=2.0, origin="center").place(WAVELENGTH), WAVELENGTH, "paper", False
+        ),
+        8,
+        None,
+    ),
 ]
 EVERY = pytest.mark.parametrize(("manifold", "sources", "columns"), CASES)
 

@@ -1,5 +1,8 @@
 """Standard errors: those of the bounds in line of sight, and those of the errors that estimates really have."""
 
+import math
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -95,3 +98,22 @@ def test_there_is_no_standard_error_on_an_edge_of_the_box_nor_without_informatio
     assert np.isnan(list(planar.values())).all()
     twice = instance.theta[[0, 0, 1]]
     assert np.isnan(list(standard_errors(twice, instance.manifold, *box, F, 1.0, T).values())).all()
+
+
+@pytest.mark.parametrize(
+    ("distance", "known"), [(0.0, False), (1e-9, False), (3e-3, False), (6e-3, True), (0.05, True)]
+)
+def test_there_is_no_standard_error_next_to_an_element(distance, known):
+    """Within a thousandth of its range of 4 m of an element; beyond that, it is right."""
+    instance = scene(0, positions=[[-35, 4], [5, 8], [40, 6]], wavefront="exact")
+    element = cartesian(instance.theta)[0] + [0.6 * distance, 0.8 * distance, 0.0]
+    manifold = replace(instance.manifold, positions=np.vstack([instance.manifold.positions, element]))
+    A = manifold.response(instance.theta).T
+    F = A @ instance.symbols / math.sqrt(instance.symbols.shape[1])
+    stds = standard_errors(instance.theta, manifold, instance.lower, instance.upper, F, 1.0, 200)
+    found = np.array([stds[f"std_{k}_m"] for k in (1, 2, 3)])
+    if known:
+        C = deterministic_bound(manifold, instance.theta, instance.symbols)
+        assert_allclose(found, position_bounds(C, instance.theta), rtol=1e-5)
+    else:
+        assert np.isnan(list(stds.values())).all()

@@ -1,0 +1,82 @@
+"""What a formulation needs to know of data received by an array, whether they are simulated or recorded."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Protocol
+
+import numpy as np
+from jaxtyping import Complex, Float
+from numpy import ndarray
+
+from nfbench import Instance, Localization
+
+from .arrays import Array
+from .diagnosis import describe_sources
+from .geometry import Frame
+from .wavefronts import Manifold
+
+__all__ = ["ArrayInstance", "ArrayScenario"]
+
+
+class ArrayInstance(Instance, ABC):
+    """The data received by an array, and the box in which the sources that sent them are searched.
+
+    Y: received data, shape (M, T); their noise has approximately unit variance.
+    manifold: array and wavefront model that the formulations assume.
+    lower: lower bounds of one source [rad, m], shape (d,).
+    upper: upper bounds of one source [rad, m], shape (d,).
+    frame: coordinates in which the array and the estimates are described.
+    notes: sentences that say how the data were read.
+    gains: known complex gains of the elements, shape (M,); None: not known, or all 1.
+    noise_covariance: known covariance of the noise, shape (M, M), in the units of Y; None: not known, or white.
+    coupling: known matrix of mutual coupling, shape (M, M); None: not known, or none.
+    failed: indices of elements that are known to receive noise only.
+    element_positions: known true positions of the elements relative to the origin [m], shape (M, 3); None: as nominal.
+    """
+
+    Y: Complex[ndarray, "m t"]
+    manifold: Manifold
+    lower: Float[ndarray, " d"]
+    upper: Float[ndarray, " d"]
+    frame: Frame
+    notes: tuple[str, ...] = ()
+    gains: Complex[ndarray, " m"] | None = None
+    noise_covariance: Complex[ndarray, "m m"] | None = None
+    coupling: Complex[ndarray, "m m"] | None = None
+    failed: tuple[int, ...] = ()
+    element_positions: Float[ndarray, "m 3"] | None = None
+
+    @property
+    @abstractmethod
+    def sources(self) -> int:
+        """The number K of sources that formulations with ``sources = "known"`` search for."""
+
+    def describe(self, estimate: Float[ndarray, "found d"], columns: Mapping[str, float]) -> Localization:
+        """Return the positions, standard errors, goodness of fit and warnings of an estimate (K̂, d) [rad, m].
+
+        The positions are in the coordinates in which the user describes the array; see ``describe_sources``.
+        """
+        theta = np.asarray(estimate, dtype=np.float64).reshape(-1, self.manifold.dimension)
+        box = self.lower, self.upper
+        found = describe_sources(self.Y, self.manifold, self.frame, *box, self.sources, theta, self.truth())
+        return replace(found, notes=self.notes)
+
+
+class ArrayScenario(Protocol):
+    """A scenario that draws such instances, as far as the warnings of formulations need it."""
+
+    @property
+    def array(self) -> Array: ...
+
+    @property
+    def sources(self) -> int: ...
+
+    @property
+    def elevation_deg(self) -> tuple[float, float] | None: ...
+
+    def manifold(self) -> Manifold: ...
+
+    def box(self) -> tuple[Float[ndarray, " d"], Float[ndarray, " d"]]: ...

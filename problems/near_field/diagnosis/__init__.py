@@ -1,0 +1,10 @@
+"""What an estimate says about the sources in received data, how well it explains them, and what may be wrong."""
+
+from __future__ import annotations
+
+from .description import describe_sources
+from .diagnose import Diagnosis, diagnose
+from .eigenvalues import Spectrum, spectrum
+from .goodness import Fit, fit
+
+__all__ = ["Diagnosis", "Fit", "Spectrum", "describe_sources", "diagnose", "fit", "spectrum"]

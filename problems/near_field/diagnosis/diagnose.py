@@ -1,0 +1,144 @@
+"""Everything that may be wrong with data, a model and an estimate, in sentences that name the remedy."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from jaxtyping import Complex, Float
+from numpy import ndarray
+
+from ..geometry import Frame
+from ..wavefronts import Manifold
+from .alternatives import better_alternative, search_share
+from .box_checks import alias_warnings, coincidence_warnings, edge_warnings, side_warnings
+from .data_checks import data_warnings
+from .eigenvalues import Spectrum, spectrum
+from .goodness import Fit, fit
+
+__all__ = ["Diagnosis", "diagnose"]
+
+LEVEL = 1e-3  # p-value below which the model does not fit
+NEARLY_ALL = 0.9  # share of the signal subspace from which no other reading of the data is searched
+MISSED = 0.8  # factor by which a search must lower the unexplained share to show that the estimate is not the best
+
+
+class Diagnosis(NamedTuple):
+    """What is known about an estimate.
+
+    spectrum: eigenvalues of the data; None if the data are not finite or all zero.
+    fit: how well the estimate explains the data; None without an estimate.
+    warnings: sentences about what may be wrong, each with a remedy.
+    """
+
+    spectrum: Spectrum | None
+    fit: Fit | None
+    warnings: tuple[str, ...]
+
+
+def diagnose(
+    Y: Complex[ndarray, "m t"],
+    manifold: Manifold,
+    frame: Frame,
+    lower: Float[ndarray, " d"],
+    upper: Float[ndarray, " d"],
+    sources: int,
+    theta: Float[ndarray, "k d"],
+) -> Diagnosis:
+    """Return what the data say about an estimate, and what may be wrong.
+
+    The model is tested at the level 0.001. Other readings of the data, such as the opposite phase convention, are
+    searched only if the model does not fit, so that a correct model is rarely doubted.
+
+    Y: received data, shape (M, T).
+    manifold: array and wavefront model.
+    frame: coordinates in which the user describes the array.
+    lower, upper: bounds of one source [rad, m], shape (d,).
+    sources: number K of sources that were searched for.
+    theta: estimated sources [rad, m], shape (K̂, d); may be empty.
+    """
+    found = data_warnings(Y)
+    if found and ("NaN" in found[0] or "all zero" in found[0]):
+        return Diagnosis(None, None, tuple(found))
+    seen, T = spectrum(Y), Y.shape[1]
+    K = len(theta)
+    quality = fit(theta, manifold, lower, upper, seen, T) if 0 < K < manifold.elements else None
+    other = None
+    if (quality is None or not quality.p_value >= LEVEL) and seen.significant and manifold.elements > (K or sources):
+        misfit, other = _misfit(seen, manifold, frame, lower, upper, K or sources, quality)
+        found += misfit
+    if other is None:  # otherwise the following would be its symptoms
+        found += _counts(seen, K or sources)
+        found += _places(theta, manifold, lower, upper)
+    return Diagnosis(seen, quality, tuple(found))
+
+
+def _places(
+    theta: Float[ndarray, "k d"], manifold: Manifold, lower: Float[ndarray, " d"], upper: Float[ndarray, " d"]
+) -> list[str]:
+    """Say what is questionable about the positions of the estimates and the box."""
+    both_sides = side_warnings(manifold, lower, upper)
+    if not len(theta):
+        return both_sides
+    found = coincidence_warnings(theta, manifold) + edge_warnings(theta, lower, upper) + both_sides
+    return found if both_sides else found + alias_warnings(theta, manifold, lower, upper)
+
+
+def _counts(seen: Spectrum, K: int) -> list[str]:
+    """Compare the number of significant eigenvalues with the number of sources."""
+    n = seen.significant
+    if n == 0:
+        return [
+            "no eigenvalue of the data rises above white noise: they show no source; check the frequency, or take more "
+            "snapshots"
+        ]
+    if n < K:
+        rises = "eigenvalue rises" if n == 1 else "eigenvalues rise"
+        return [
+            f"only {n} {rises} above the noise, but {K} sources are searched: some are coherent, too weak, or not "
+            f"there; set sources = {n} (--sources {n}), or, for coherent sources, the objective dml "
+            f"(--option objective=dml)"
+        ]
+    if n > K and seen.noise > 0:
+        searched = f"{K} sources are" if K > 1 else "1 source is"
+        return [
+            f"{n} eigenvalues rise above white noise, but {searched} searched: there are more sources, reflections or "
+            f"coloured noise; try sources = {K + 1} (--sources {K + 1}), or give the covariance of the noise"
+        ]
+    return []
+
+
+def _misfit(
+    seen: Spectrum,
+    manifold: Manifold,
+    frame: Frame,
+    lower: Float[ndarray, " d"],
+    upper: Float[ndarray, " d"],
+    K: int,
+    quality: Fit | None,
+) -> tuple[list[str], str | None]:
+    """Say how badly the model fits, and whether another reading of the data or another estimate fits far better.
+
+    The second result is the sentence about another reading; None if there is none.
+    """
+    explained = quality.explained if quality else 0.0
+    best = search_share(seen, manifold, lower, upper, K) if explained < NEARLY_ALL else None
+    known, other = max(explained, best or 0.0), None
+    if known < NEARLY_ALL:
+        other = better_alternative(seen, manifold, frame, lower, upper, K, known)
+    found = [other] if other else []
+    if quality and not math.isnan(quality.p_value):
+        chance = f"p = {quality.p_value:.1g}" if quality.p_value > 0 else "p < 1e-300"
+        found.append(
+            f"the model does not fit: it explains {100 * explained:.3g} % of the signal subspace, and the rest "
+            f"is more than noise ({chance}), so that the standard errors are too small; possible reasons are "
+            f"reflections, uncalibrated gains and phases (calibrate the elements), wrong positions, another speed of "
+            f"the waves, or another wavefront"
+        )
+    if quality and best is not None and 1 - best < MISSED * (1 - explained):
+        found.append(
+            f"the estimate is not the best fit: a search on a grid explains {100 * best:.0f} % of the signal subspace, "
+            f"the estimate {100 * explained:.0f} %; use the method grid-refine (--method grid-refine), or more "
+            f"evaluations"
+        )
+    return found, other

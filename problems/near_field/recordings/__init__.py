@@ -1,0 +1,1 @@
+"""Recordings: data of a real array in place of simulated data."""
