@@ -10,6 +10,7 @@ from numpy import ndarray
 
 from nfbench import Ge, Incompatible
 
+from .array_instance import ArrayInstance
 from .calibration import Knowledge, calibrated
 from .subspace import compress
 
