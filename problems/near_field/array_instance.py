@@ -34,6 +34,9 @@ class ArrayInstance(Instance, ABC):
     gains: known complex gains of the elements, shape (M,); None: not known, or all 1.
     noise_covariance: known covariance of the noise, shape (M, M), in the units of Y; None: not known, or white.
     further: frequency bins of wideband data besides that of Y.
+    coupling: known matrix of mutual coupling, shape (M, M); None: not known, or none.
+    failed: indices of elements that are known to receive noise only.
+    element_positions: known true positions of the elements relative to the origin [m], shape (M, 3); None: as nominal.
     """
 
     Y: Complex[ndarray, "m t"]
@@ -44,6 +47,9 @@ class ArrayInstance(Instance, ABC):
     notes: tuple[str, ...] = ()
     gains: Complex[ndarray, " m"] | None = None
     noise_covariance: Complex[ndarray, "m m"] | None = None
+    coupling: Complex[ndarray, "m m"] | None = None
+    failed: tuple[int, ...] = ()
+    element_positions: Float[ndarray, "m 3"] | None = None
     further: tuple[Band, ...] = ()
 
     @property

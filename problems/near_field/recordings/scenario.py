@@ -229,14 +229,14 @@ class Recorded(Measured):
     @cached_property
     def _further(self) -> list[Band]:
         """The snapshots at the further frequencies. Raises ValueError."""
-        manifold = self.manifold()
-        if len({self.frequency_hz, *self.further_frequencies_hz}) < self.bins:
-            raise ValueError(f"expected different frequencies, none of them frequency_hz = {self.frequency_hz:g}")
-        return [
-            Band(self._at(f).Y, replace(manifold, wavelength_m=self.speed_m_s / f)) for f in self.further_frequencies_hz
-        ]
+        manifold, carrier, further = self.manifold(), self.frequency_hz, self.further_frequencies_hz
+        if carrier is None:  # of data other than samples, which have no further frequencies
+            return []
+        if len({carrier, *further}) < self.bins:
+            raise ValueError(f"expected different frequencies, none of them frequency_hz = {carrier:g}")
+        return [Band(self._at(f).Y, replace(manifold, wavelength_m=self.wavelength * carrier / f)) for f in further]
 
-    def _at(self, frequency_hz: float) -> _Data:
+    def _at(self, frequency_hz: float | None) -> _Data:
         """Return the snapshots at a frequency of the elements that are used. Raises ValueError."""
         X, rate_hz = read_array(self.data, self.variable, self.array.count)
         X, axis = oriented(X, self.array.count, self.element_axis)
@@ -258,11 +258,11 @@ class Recorded(Measured):
         return _Data(Y.conj() if self.conjugate else Y, tuple(notes))
 
     def _transformed(
-        self, x: Shaped[ndarray, "m n"], stated_hz: float | None, frequency_hz: float
+        self, x: Shaped[ndarray, "m n"], stated_hz: float | None, frequency_hz: float | None
     ) -> tuple[Complex[ndarray, "m t"], str]:
         """Return the snapshots at a frequency, and a sentence about them."""
         rate = self.sample_rate_hz or stated_hz
-        if self.frequency_hz is None:
+        if frequency_hz is None:
             raise self._error("frequency_hz", "is required for samples over time, with speed_m_s: the frequency [Hz]")
         if rate is None:
             raise self._error("sample_rate_hz", "is required for samples over time: the sampling rate [Hz]")
