@@ -23,6 +23,7 @@ PAGES = {
     "results/certified/README.md": "results/certified.md",
     "results/relaxation/README.md": "results/relaxation.md",
     "results/measured/README.md": "results/measured.md",
+    "results/impairments/README.md": "results/impairments.md",
     "CHANGELOG.md": "project/changelog.md",
     "CONTRIBUTING.md": "project/contributing.md",
 }

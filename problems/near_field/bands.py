@@ -34,6 +34,11 @@ class Band:
     H: Complex[ndarray, "draws m k"] | None = None
     symbols: Complex[ndarray, "k t"] | None = None
 
+    @property
+    def received(self) -> tuple[Complex[ndarray, "m t"], Manifold]:
+        """The data and the manifold."""
+        return self.Y, self.manifold
+
     def under(self, wavefront: Wavefront | None) -> Band:
         """Return the same data with another model of the wavefront; None keeps the one it has."""
         return replace(self, manifold=self.manifold.under(wavefront))
@@ -57,7 +62,10 @@ def one_band(bands: Sequence[Band], name: str, reason: str) -> None:
 
 
 def bounds_of_bands(
-    bands: Sequence[Band], theta: Float[ndarray, "k d"], snr: Float[ndarray, " k"]
+    bands: Sequence[Band],
+    theta: Float[ndarray, "k d"],
+    snr: Float[ndarray, " k"],
+    correlation: Complex[ndarray, "k k"] | None = None,
 ) -> tuple[Float[ndarray, "kd kd"], Float[ndarray, "kd kd"]]:
     """Return the stochastic and the deterministic bound on the covariance of θ̂ [rad, m] from all bins together.
 
@@ -68,8 +76,9 @@ def bounds_of_bands(
     bands: bins with known symbols.
     theta: sources [rad, m], shape (K, d).
     snr: signal-to-noise power ratio per source at each antenna, the same in all bins, shape (K,).
+    correlation: correlation matrix of the symbols in each bin, shape (K, K); None: they are uncorrelated.
     """
-    stochastic = [root_of_stochastic(band.manifold, theta, snr) for band in bands]
+    stochastic = [root_of_stochastic(band.manifold, theta, snr, correlation) for band in bands]
     known = [(band.manifold, band.symbols) for band in bands if band.symbols is not None]
     deterministic = [root_of_deterministic(manifold, theta, symbols) for manifold, symbols in known]
     snapshots = [band.Y.shape[1] for band in bands]

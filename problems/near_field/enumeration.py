@@ -12,6 +12,7 @@ from numpy import ndarray
 from nfbench import Ge, Incompatible
 
 from .array_instance import ArrayInstance
+from .calibration import Knowledge, calibrated
 from .subspace import compress
 
 __all__ = ["Criterion", "Sources", "estimate_sources", "how_many"]
@@ -24,8 +25,10 @@ Sources: TypeAlias = Annotated[int, Ge(1)] | Literal["known", "estimate"]
 "estimate" for an estimate from the data."""
 
 
-def how_many(instance: ArrayInstance, sources: Sources, criterion: Criterion) -> int:
+def how_many(instance: ArrayInstance, sources: Sources, criterion: Criterion, knows: Knowledge | None = None) -> int:
     """Return the number K of sources that a formulation with these options looks for; "estimate" may return 0.
+
+    The estimate is made from the data after removing what the formulation ``knows`` of the array.
 
     Raises Incompatible if ``criterion`` is undefined for the data, or if the assumed number is not smaller than the
     number of antennas.
@@ -33,7 +36,8 @@ def how_many(instance: ArrayInstance, sources: Sources, criterion: Criterion) ->
     if sources == "known":
         return instance.sources
     if sources == "estimate":
-        return estimate_sources([band.Y for band in instance.bands], criterion)
+        bands = instance.bands if knows is None else calibrated(instance, knows)
+        return estimate_sources([band.Y for band in bands], criterion)
     if sources >= instance.manifold.elements:
         raise Incompatible(f"sources: expected fewer than the {instance.manifold.elements} elements, got {sources}")
     return sources

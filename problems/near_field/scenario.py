@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, Any, ClassVar, Literal, TypeAlias, final
 
 import numpy as np
@@ -20,6 +20,7 @@ from .carrier import Frequency, Speed, Wavelength, carrier_problems, carrier_wav
 from .channels import IID, ClusterAroundSource, Clusters, Isotropic, NLoS, complex_normal, rician
 from .fixed_sources import cartesian_problems, cartesian_sources, spherical_problems, spherical_sources
 from .geometry import ambiguity
+from .impairments import Drawn, Impairments, mixing_matrix
 from .instance import NearFieldInstance
 from .objectives import kernels
 from .placement import has_room, place_sources
@@ -77,6 +78,8 @@ class NearField(Scenario):
     bandwidth_relative: distance between the outermost bins as a multiple of the carrier frequency, which belongs to the
         wavelength λ and lies in their middle; the others divide it into equal parts. It has no effect on one bin, which
         is the carrier.
+    impairments: table that describes how the array and its sources differ from the model that estimators assume: gain,
+        phase and position errors, failed elements, mutual coupling, coloured noise, correlated sources.
     gospa_cutoff_m: cutoff distance c [m] of the score ``gospa_m``; an estimate farther away counts as a missed source
         and a false estimate.
     """
@@ -102,6 +105,7 @@ class NearField(Scenario):
     positions_m: tuple[tuple[_Finite, _Finite, _Finite], ...] | None = None
     bins: Annotated[int, Ge(1), Le(MAX_BINS)] = 1
     bandwidth_relative: Annotated[float, Ge(0.0), Le(1.9)] = 0.0
+    impairments: Impairments = Impairments()  # noqa: RUF009  # frozen
     gospa_cutoff_m: Annotated[float, Gt(0.0), Le(1e9)] = 1.0
 
     def validate(self) -> None:
@@ -120,6 +124,8 @@ class NearField(Scenario):
             problems.append(("snr_db", text))
         if math.isfinite(self.rician_k) and self.fading is None:
             problems.append(("fading", f'expected "block" or "snapshot" for rician_k = {self.rician_k:g}, got none'))
+        for path, text in self.impairments.problems(elements, self.sources, self.wavefront):
+            problems.append((f"impairments.{path}", text))
         if not problems:
             problems += self.array.misplaced(self.wavelength) or self._misplaced()
         if self.positions is self.positions_m is None and not problems:
@@ -184,6 +190,7 @@ class NearField(Scenario):
             *self._in_radians(),
             *self._too_far(),
             *self.nlos.warnings(),
+            *self.impairments.warnings(),
         ]
 
     def _two_sides(self) -> list[str]:
@@ -237,7 +244,7 @@ class NearField(Scenario):
         ]
 
     def draw(self, rng: np.random.Generator) -> NearFieldInstance:
-        """Draw positions, fading, symbols and noise, each from its own child of ``rng``, spawned in this order.
+        """Draw positions, fading, symbols, noise and impairments, each from its own child of ``rng``, in this order.
 
         Each source has its own generators for its position, scattered waves and symbols, and each element one for its
         noise. The same seed therefore gives the same scene at every SNR, Rician factor, array and wavefront: K sources
@@ -247,33 +254,57 @@ class NearField(Scenario):
         ``min_separation_deg`` apart.
         """
         self.warm_up()  # so that no measured time includes the compilation
-        for_positions, for_fading, for_symbols, for_noise, for_bins = rng.spawn(5)
+        for_positions, for_fading, for_symbols, for_noise, for_impairments, for_bins = rng.spawn(6)
         lower, upper = self.box()
         theta = self._place_sources(for_positions, lower, upper)
         snr = 10.0 ** (np.broadcast_to(self.snr_db, self.sources) / 10)
-        streams = [(for_fading, for_symbols, for_noise), *(own.spawn(3) for own in for_bins.spawn(self.bins - 1))]
-        bins = zip(streams, self.manifolds(), strict=True)
-        (Y, manifold, H, symbols), *further = [self._receive(own, at, theta, snr) for own, at in bins]
-        bands = tuple(Band(*each) for each in further)
-        frame = self.array.frame(self.wavelength)
+        first, *others = self.manifolds()
+        array = self.impairments.draw(for_impairments, first)
+        Y, _, H, symbols = self._receive((for_fading, for_symbols, for_noise), first, array, theta, snr)
+        streams = [own.spawn(3) for own in for_bins.spawn(len(others))]
+        further = [self._receive(own, at, array, theta, snr) for own, at in zip(streams, others, strict=True)]
+        correlation = self.impairments.correlation(self.sources)
         return NearFieldInstance(
-            Y, theta, manifold, lower, upper, H, symbols, snr, self.rician_k, self.gospa_cutoff_m, frame, bands
+            Y,
+            theta,
+            first,
+            lower,
+            upper,
+            H,
+            symbols,
+            snr,
+            self.rician_k,
+            self.gospa_cutoff_m,
+            self.array.frame(self.wavelength),
+            gains=array.gains,
+            coupling=array.coupling,
+            noise_covariance=array.noise_covariance,
+            failed=array.failed,
+            element_positions=array.positions,
+            amplitude=array.amplitude,
+            correlation=None if mixing_matrix(correlation) is None else correlation,
+            further=tuple(Band(*each) for each in further),
         )
 
     def _receive(
         self,
         streams: Sequence[np.random.Generator],
         manifold: Manifold,
+        array: Drawn,
         theta: Float[ndarray, "k d"],
         snr: Float[ndarray, " k"],
     ) -> tuple[ndarray, Manifold, ndarray, ndarray]:
         """Return Y, the manifold, H and the symbols of one bin."""
         for_fading, for_symbols, for_noise = streams
+        displaced = array.displace(manifold)
         draws = self.snapshots if self.fading == "snapshot" else 1
-        G = self.nlos.draw(for_fading, draws, manifold, theta, *self.box())
-        H = rician(manifold.response(theta).T, G, self.rician_k)
-        symbols = np.sqrt(snr)[:, None] * _rows(for_symbols, self.sources, self.snapshots)
-        N = _rows(for_noise, manifold.elements, self.snapshots)
+        G = self.nlos.draw(for_fading, draws, displaced, theta, *self.box())
+        A = replace(displaced, amplitude=array.amplitude).response(theta).T
+        H = array.distort(rician(A, G, self.rician_k))
+        uncorrelated = _rows(for_symbols, self.sources, self.snapshots)
+        mixing = mixing_matrix(self.impairments.correlation(self.sources))
+        symbols = np.sqrt(snr)[:, None] * (uncorrelated if mixing is None else mixing @ uncorrelated)
+        N = array.colour(_rows(for_noise, manifold.elements, self.snapshots))
         Y = np.einsum("tmk,kt->mt", np.broadcast_to(H, (self.snapshots, *H.shape[1:])), symbols) + N
         return Y, manifold, H, symbols
 

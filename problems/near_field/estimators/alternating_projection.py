@@ -12,12 +12,13 @@ from numpy import ndarray
 from nfbench import Formulation, Ge, Instance, Lt, Minimize, Reference
 
 from ..array_instance import ArrayInstance
+from ..calibration import calibrated
 from ..enumeration import Criterion, Sources, how_many
 from ..objectives import kernels_conditional
 from ..objectives.factors import Objective, factors
 from ..search import BandFit
 from ..search import warm_up as warm_up_search
-from ..wavefronts import Wavefront
+from ..wavefronts import Amplitude, Wavefront
 from .certified import certified_first_source
 from .relaxation import TOLERANCE, given, place, relax
 
@@ -55,6 +56,12 @@ class AlternatingProjection(Formulation):
         ``criterion``, and an integer is used as given, even if it is wrong.
     criterion: criterion by which the number of sources is estimated: "aic", "mdl" or "ne" (Nadakuditi & Edelman); used
         only if ``sources`` is "estimate".
+    known_gains: whether the estimator knows the gains and phases of the elements.
+    known_coupling: whether the estimator knows the mutual coupling of the elements.
+    known_noise: whether the estimator knows the covariance of the noise, and whitens the data with it.
+    known_failed: whether the estimator knows which elements have failed, and leaves them out.
+    known_positions: whether the estimator knows the true positions of the elements.
+    amplitude: amplitude over the array that the estimator assumes, "constant", or "spherical", which is r/‖p − q_m‖.
     """
 
     accepts: ClassVar[type[Instance]] = ArrayInstance  # type: ignore[type-abstract]  # any subclass
@@ -66,6 +73,12 @@ class AlternatingProjection(Formulation):
     wavefront: Wavefront | None = None
     sources: Sources = "known"
     criterion: Criterion = "ne"
+    known_gains: bool = False
+    known_coupling: bool = False
+    known_noise: bool = False
+    known_failed: bool = False
+    known_positions: bool = False
+    amplitude: Amplitude = "constant"
 
     def warm_up(self) -> None:
         kernels_conditional.warm_up()
@@ -74,7 +87,7 @@ class AlternatingProjection(Formulation):
 
     def estimates(self, instance: ArrayInstance, X: Float[ndarray, "r n"]) -> Float[ndarray, "r 1 d"] | None:
         """Return the estimates of a search for one source that is not refined; otherwise None."""
-        single = how_many(instance, self.sources, self.criterion) == 1
+        single = how_many(instance, self.sources, self.criterion, self) == 1
         return X[:, None] if single and not self.refine else None
 
     def reference(self, instance: ArrayInstance) -> Reference | None:
@@ -82,7 +95,7 @@ class AlternatingProjection(Formulation):
 
         None for several frequency bins, for which no proof is known.
         """
-        K = how_many(instance, self.sources, self.criterion)
+        K = how_many(instance, self.sources, self.criterion, self)
         if K == 0 or len(instance.bands) > 1:
             return None
         F, manifold = self._fits(instance, K)[0]
@@ -93,7 +106,7 @@ class AlternatingProjection(Formulation):
 
         Raises Incompatible if there are fewer snapshots than sources, unless the objective is "dml".
         """
-        K = how_many(instance, self.sources, self.criterion)
+        K = how_many(instance, self.sources, self.criterion, self)
         box = instance.lower, instance.upper
         theta = np.empty((0, instance.manifold.dimension))
         if K == 0:
@@ -106,6 +119,6 @@ class AlternatingProjection(Formulation):
 
     def _fits(self, instance: ArrayInstance, K: int) -> list[BandFit]:
         """Return what is fitted in each frequency bin."""
-        bands = [band.under(self.wavefront) for band in instance.bands]
+        bands = calibrated(instance, self)
         fitted = factors([band.Y for band in bands], K, self.objective)
         return [BandFit(F, band.manifold) for F, band in zip(fitted, bands, strict=True)]

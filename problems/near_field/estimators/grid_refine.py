@@ -14,6 +14,7 @@ from nfbench import Formulation, Ge, Gt, Instance, Le, Minimize, Solution
 
 from ..array_instance import ArrayInstance, ArrayScenario
 from ..bands import Band
+from ..calibration import calibrated
 from ..enumeration import Criterion, Sources, how_many
 from ..objectives.factors import Objective, factor, noise_weights
 from ..objectives.subspace_fitting import SubspaceFit
@@ -29,7 +30,7 @@ from ..search import (
 )
 from ..search import warm_up as warm_up_search
 from ..subspace import decompose
-from ..wavefronts import Wavefront
+from ..wavefronts import Amplitude, Wavefront
 from .music import SLOW_S, search_s
 
 __all__ = ["GridRefine"]
@@ -64,6 +65,12 @@ class GridRefine(Formulation):
     objective: misfit that is minimized: "esf" gives all eigenvectors of the signal subspace the same weight, "wsf" the
         weights that attain the stochastic bound (Viberg & Ottersten 1991), and "dml" is deterministic maximum
         likelihood, which also works with fewer snapshots than sources.
+    known_gains: whether the estimator knows the gains and phases of the elements.
+    known_coupling: whether the estimator knows the mutual coupling of the elements.
+    known_noise: whether the estimator knows the covariance of the noise, and whitens the data with it.
+    known_failed: whether the estimator knows which elements have failed, and leaves them out.
+    known_positions: whether the estimator knows the true positions of the elements.
+    amplitude: amplitude over the array that the estimator assumes, "constant", or "spherical", which is r/‖p − q_m‖.
     """
 
     accepts: ClassVar[type[Instance]] = ArrayInstance  # type: ignore[type-abstract]  # any subclass
@@ -75,6 +82,12 @@ class GridRefine(Formulation):
     sources: Sources = "known"
     criterion: Criterion = "ne"
     objective: Objective = "esf"
+    known_gains: bool = False
+    known_coupling: bool = False
+    known_noise: bool = False
+    known_failed: bool = False
+    known_positions: bool = False
+    amplitude: Amplitude = "constant"
 
     def warm_up(self) -> None:
         warm_up_search()
@@ -97,14 +110,16 @@ class GridRefine(Formulation):
 
         Raises Incompatible if there are fewer snapshots than sources, except with the objective "dml".
         """
-        K = how_many(instance, self.sources, self.criterion)
+        K = how_many(instance, self.sources, self.criterion, self)
         if K == 0:
             return Solution(np.empty((0, instance.manifold.dimension)))
-        if len(instance.bands) > 1:
-            return self._solve_bands([band.under(self.wavefront) for band in instance.bands], instance, K)
-        grid = response_grid(instance.manifold.under(self.wavefront), instance.lower, instance.upper, self.density)
-        T = instance.Y.shape[1]
-        F, spread, noise = _factors(instance.Y, K, self.objective)
+        bands = calibrated(instance, self)
+        if len(bands) > 1:
+            return self._solve_bands(bands, instance, K)
+        Y, manifold = bands[0].Y, bands[0].manifold
+        grid = response_grid(manifold, instance.lower, instance.upper, self.density)
+        T = Y.shape[1]
+        F, spread, noise = _factors(Y, K, self.objective)
         found = search_greedily(F, grid, K, self.sweeps)
         if noise is None:
             noise = found.value / max(len(F) - K, 1)

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Annotated, ClassVar, TypeAlias, final
 
 import numpy as np
@@ -15,19 +16,21 @@ from scipy.ndimage import label, maximum_filter
 from nfbench import Formulation, Ge, Incompatible, Instance, Le, Minimize, Options
 
 from ..array_instance import ArrayInstance, ArrayScenario
+from ..calibration import calibrated
 from ..enumeration import Criterion, Sources, how_many
 from ..objectives import kernels
-from ..objectives.rls import RLS
+from ..objectives.general_fit import GeneralFit
+from ..objectives.rls import RLS, flattened
 from ..objectives.sum_of_fits import SumOfFits, together
 from ..search import warm_up as warm_up_search
 from ..subspace import compress, signal_subspace
-from ..wavefronts import Manifold, Wavefront
+from ..wavefronts import Amplitude, Manifold, Wavefront
 from .refinement import refine
 
 __all__ = ["SLOW_S", "Grid", "Music", "grid_maxima", "pick_peaks", "search_s"]
 
 SAME_PEAK = 0.9999
-"""The squared correlation |a₁ᴴa₂|²/M² above which two refined maxima are considered the same peak.
+"""The squared correlation |a₁ᴴa₂|²/(‖a₁‖²‖a₂‖²) above which two refined maxima are considered the same peak.
 
 Local searches that end at the same peak agree to within 1e-6 of 1. Two sources with a correlation as high as this do
 not form two peaks at any realistic SNR."""
@@ -102,6 +105,12 @@ class Music(Formulation):
         ``criterion``, and an integer is used as given, even if it is wrong.
     criterion: criterion by which the number of sources is estimated: "aic", "mdl" or "ne" (Nadakuditi & Edelman); used
         only if ``sources`` is "estimate".
+    known_gains: whether the estimator knows the gains and phases of the elements.
+    known_coupling: whether the estimator knows the mutual coupling of the elements.
+    known_noise: whether the estimator knows the covariance of the noise, and whitens the data with it.
+    known_failed: whether the estimator knows which elements have failed, and leaves them out.
+    known_positions: whether the estimator knows the true positions of the elements.
+    amplitude: amplitude over the array that the estimator assumes, "constant", or "spherical", which is r/‖p − q_m‖.
     """
 
     accepts: ClassVar[type[Instance]] = ArrayInstance  # type: ignore[type-abstract]  # any subclass
@@ -112,6 +121,12 @@ class Music(Formulation):
     wavefront: Wavefront | None = None
     sources: Sources = "known"
     criterion: Criterion = "ne"
+    known_gains: bool = False
+    known_coupling: bool = False
+    known_noise: bool = False
+    known_failed: bool = False
+    known_positions: bool = False
+    amplitude: Amplitude = "constant"
 
     def warm_up(self) -> None:
         warm_up_search()
@@ -133,11 +148,11 @@ class Music(Formulation):
         Raises Incompatible if there are fewer snapshots than sources, or if the grid has elevations and the scenario
         has none.
         """
-        K = how_many(instance, self.sources, self.criterion)
+        K = how_many(instance, self.sources, self.criterion, self)
         if K == 0:
             return np.empty((0, instance.manifold.dimension))
         axes = self.grid.axes(instance.lower, instance.upper)
-        bins = [(signal_subspace(band.Y, K), band.manifold.under(self.wavefront)) for band in instance.bands]
+        bins = [(signal_subspace(band.Y, K), band.manifold) for band in calibrated(instance, self)]
         maxima = grid_maxima(bins, axes, KEEP)
         # ‖(I − P_a)U_s‖² = K − ‖U_sᴴa‖²/M: the minima of RLS of the signal subspace are the peaks of the spectrum
         spectrum = together([RLS(U_s, manifold, instance.lower, instance.upper) for U_s, manifold in bins])
@@ -162,7 +177,7 @@ def grid_maxima(
     axes: coordinates of the grid in azimuth, (elevation,) range [rad, m].
     keep: maximum number of maxima.
     """
-    packed = [(*manifold.packed, kernels.pack_rows(compress(U_s))) for U_s, manifold in bins]
+    energies = [_energies(compress(U_s), manifold) for U_s, manifold in bins]
     azimuth, slab = axes[0], tuple(len(axis) for axis in axes[1:])
     count = min(max(BLOCK // math.prod(slab), 1), len(azimuth))
     X = np.empty((count, *slab, len(axes)))
@@ -173,9 +188,9 @@ def grid_maxima(
         block = azimuth[first : first + count]
         X[: len(block), ..., 0] = block.reshape(-1, *[1] * len(slab))
         candidates = X[: len(block)].reshape(-1, len(axes))
-        new = kernels.projected_energy(*packed[0], candidates)
-        for others in packed[1:]:
-            new += kernels.projected_energy(*others, candidates)
+        new = energies[0](candidates)
+        for energy in energies[1:]:
+            new += energy(candidates)
         edge = np.full((1 if first + count > len(azimuth) else 0, *slab), -np.inf)  # beyond the last azimuth
         window = np.concatenate([window[-2:], new.reshape(-1, *slab), edge])
         is_highest = (window == maximum_filter(window, 3, mode="constant", cval=-np.inf))[1:-1]
@@ -192,6 +207,16 @@ def grid_maxima(
     return points
 
 
+def _energies(
+    rows: Complex[ndarray, "m c"], manifold: Manifold
+) -> Callable[[Float[ndarray, "p d"]], Float[ndarray, " p"]]:
+    """Return the function ‖U_sᴴa‖² of many sources, or ‖U_sᴴa‖²/‖a‖² where responses have another modulus than 1."""
+    if (flat := flattened(rows, manifold)) is None:
+        return GeneralFit(rows, manifold, least=0.0).explained
+    F, unit = flat
+    return partial(kernels.projected_energy, *unit.packed, kernels.pack_rows(F))
+
+
 def pick_peaks(
     spectrum: RLS | SumOfFits, maxima: Float[ndarray, "p d"], count: int
 ) -> tuple[Float[ndarray, "k d"], Float[ndarray, "k d"]]:
@@ -204,17 +229,23 @@ def pick_peaks(
     count: number of peaks to return.
     """
     parts = spectrum.parts if isinstance(spectrum, SumOfFits) else (spectrum,)
-    M, d = spectrum.manifold.elements, len(spectrum.lower)
-    manifolds = [part.manifold for part in parts]
+    d, manifolds = len(spectrum.lower), [part.manifold for part in parts]
     points, peaks, twins = np.empty((0, d)), np.empty((0, d)), np.empty((0, d))
     for point in maxima:
         if len(points) == count:
             break
         peak = refine(spectrum, point, spectrum.manifold)
-        is_same = [np.abs(a.response(peaks).conj() @ a.response(peak)) ** 2 >= SAME_PEAK * M**2 for a in manifolds]
+        is_same = [_same_direction(manifold, peaks, peak) for manifold in manifolds]
         if np.all(is_same, axis=0).any():
             twins = np.vstack([twins, point])
         else:
             points, peaks = np.vstack([points, point]), np.vstack([peaks, peak])
     missing = twins[: count - len(points)]
     return np.vstack([points, missing]), np.vstack([peaks, missing])
+
+
+def _same_direction(manifold: Manifold, peaks: Float[ndarray, "k d"], peak: Float[ndarray, " d"]) -> ndarray:
+    """Whether the response of each of several sources is nearly parallel to that of another."""
+    A, a = manifold.response(peaks), manifold.response(peak)
+    lengths = np.sum(np.abs(A) ** 2, axis=1) * np.vdot(a, a).real  # M² where all have modulus 1
+    return np.abs(A.conj() @ a) ** 2 >= SAME_PEAK * lengths

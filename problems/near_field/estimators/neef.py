@@ -12,13 +12,14 @@ from numpy import ndarray
 from nfbench import Formulation, Instance, Minimize, Reference
 
 from ..array_instance import ArrayInstance
+from ..calibration import calibrated
 from ..enumeration import Criterion, Sources, how_many
 from ..objectives.factors import Objective, factors
 from ..objectives.subspace_fitting import SubspaceFit
 from ..objectives.sum_of_fits import together
 from ..search import warm_up as warm_up_search
 from ..subspace import decompose
-from ..wavefronts import Wavefront
+from ..wavefronts import Amplitude, Wavefront
 from .certified import certified_minimum
 from .refinement import refine
 
@@ -45,6 +46,12 @@ class Neef(Formulation):
     criterion: criterion by which the number of sources is estimated: "aic", "mdl" or "ne" (Nadakuditi & Edelman); used
         only if ``sources`` is "estimate".
     refine: whether to refine the solver's minimizer by a local search; its evaluations do not count towards the budget.
+    known_gains: whether the estimator knows the gains and phases of the elements.
+    known_coupling: whether the estimator knows the mutual coupling of the elements.
+    known_noise: whether the estimator knows the covariance of the noise, and whitens the data with it.
+    known_failed: whether the estimator knows which elements have failed, and leaves them out.
+    known_positions: whether the estimator knows the true positions of the elements.
+    amplitude: amplitude over the array that the estimator assumes, "constant", or "spherical", which is r/‖p − q_m‖.
     """
 
     accepts: ClassVar[type[Instance]] = ArrayInstance  # type: ignore[type-abstract]  # any subclass
@@ -54,6 +61,12 @@ class Neef(Formulation):
     sources: Sources = "known"
     criterion: Criterion = "ne"
     refine: bool = False
+    known_gains: bool = False
+    known_coupling: bool = False
+    known_noise: bool = False
+    known_failed: bool = False
+    known_positions: bool = False
+    amplitude: Amplitude = "constant"
 
     def estimates(self, instance: ArrayInstance, X: Float[ndarray, "r n"]) -> Float[ndarray, "r k d"] | None:
         return None if self.refine else X.reshape(len(X), -1, instance.manifold.dimension)
@@ -63,12 +76,18 @@ class Neef(Formulation):
             warm_up_search()
 
     def reference(self, instance: ArrayInstance) -> Reference | None:
-        """Return the certified minimum of ESF; None for the other objectives and several bins: no proof is known."""
-        K = how_many(instance, self.sources, self.criterion)
+        """Return the certified minimum of ESF; None where no proof is known.
+
+        These are the other objectives, several frequency bins, and responses whose modulus is not 1, as those of known
+        gains.
+        """
+        K = how_many(instance, self.sources, self.criterion, self)
         if self.objective != "esf" or K == 0 or len(instance.bands) > 1:
             return None
-        manifold = instance.manifold.under(self.wavefront)
-        found = certified_minimum(decompose(instance.Y, K).U_s, manifold, instance.lower, instance.upper)
+        Y, manifold = calibrated(instance, self)[0].received
+        if not manifold.has_unit_modulus:
+            return None
+        found = certified_minimum(decompose(Y, K).U_s, manifold, instance.lower, instance.upper)
         columns = {"regions": float(found.regions), "certificate_evaluations": float(found.evaluations)}
         return Reference(found.J, found.gap, found.certified, found.theta.ravel(), found.step, columns)
 
@@ -77,10 +96,10 @@ class Neef(Formulation):
 
         Raises Incompatible if there are fewer snapshots than sources, except for "dml".
         """
-        K = how_many(instance, self.sources, self.criterion)
+        K = how_many(instance, self.sources, self.criterion, self)
         if K == 0:
             return np.empty((0, instance.manifold.dimension))
-        bands = [band.under(self.wavefront) for band in instance.bands]
+        bands = calibrated(instance, self)
         fitted, box = factors([band.Y for band in bands], K, self.objective), (instance.lower, instance.upper)
         parts = [SubspaceFit(F, band.manifold, *box, sources=K) for F, band in zip(fitted, bands, strict=True)]
         problem = together(parts)

@@ -13,6 +13,7 @@ from numpy import ndarray
 from nfbench import Formulation, Ge, Instance, Lt, Minimize, Reference
 
 from ..array_instance import ArrayInstance
+from ..calibration import calibrated
 from ..enumeration import Criterion, Sources, how_many
 from ..objectives import kernels_conditional
 from ..objectives.rls import RLS, deflate
@@ -20,7 +21,7 @@ from ..objectives.sum_of_fits import SumOfFits, together
 from ..search import BandFit
 from ..search import warm_up as warm_up_search
 from ..subspace import compress
-from ..wavefronts import Manifold, Wavefront
+from ..wavefronts import Amplitude, Manifold, Wavefront
 from .certified import certified_first_source
 from .refinement import refine
 from .relaxation import relax
@@ -58,6 +59,12 @@ class Nemo(Formulation):
         "dml"; each of these problems has the whole budget. The repulsion does not act, and a source keeps its position
         if the solver finds nothing better. Relaxation ends early when a sweep lowers the misfit of all sources together
         by no more than 1e-9 of it. With ``refine``, each position is refined. A single source is not relaxed.
+    known_gains: whether the estimator knows the gains and phases of the elements.
+    known_coupling: whether the estimator knows the mutual coupling of the elements.
+    known_noise: whether the estimator knows the covariance of the noise, and whitens the data with it.
+    known_failed: whether the estimator knows which elements have failed, and leaves them out.
+    known_positions: whether the estimator knows the true positions of the elements.
+    amplitude: amplitude over the array that the estimator assumes, "constant", or "spherical", which is r/‖p − q_m‖.
     """
 
     accepts: ClassVar[type[Instance]] = ArrayInstance  # type: ignore[type-abstract]  # any subclass
@@ -71,10 +78,16 @@ class Nemo(Formulation):
     stop_below: Annotated[float, Ge(0.0), Lt(math.inf)] | None = None
     refine: bool = False
     relax: Annotated[int, Ge(0)] = 0
+    known_gains: bool = False
+    known_coupling: bool = False
+    known_noise: bool = False
+    known_failed: bool = False
+    known_positions: bool = False
+    amplitude: Amplitude = "constant"
 
     def estimates(self, instance: ArrayInstance, X: Float[ndarray, "r n"]) -> Float[ndarray, "r 1 d"] | None:
         """Return the estimates of a search for one source; with more sources, or if it may be discarded, None."""
-        single = how_many(instance, self.sources, self.criterion) == 1
+        single = how_many(instance, self.sources, self.criterion, self) == 1
         return None if self.refine or self.stop_below is not None or not single else X[:, None]
 
     def warm_up(self) -> None:
@@ -88,17 +101,18 @@ class Nemo(Formulation):
 
         None for several frequency bins, for which no proof is known.
         """
-        if len(instance.bands) > 1 or how_many(instance, self.sources, self.criterion) == 0:
+        if len(instance.bands) > 1 or how_many(instance, self.sources, self.criterion, self) == 0:
             return None
-        manifold = instance.manifold.under(self.wavefront)
-        return certified_first_source(compress(instance.Y), manifold, instance.lower, instance.upper)
+        Y, manifold = calibrated(instance, self)[0].received
+        return certified_first_source(compress(Y), manifold, instance.lower, instance.upper)
 
     def solve(self, instance: ArrayInstance, minimize: Minimize) -> Float[ndarray, "k d"]:
         """Return the sources (K, d) [rad, m] in the order of their detection."""
-        manifolds = [band.manifold.under(self.wavefront) for band in instance.bands]
-        data = Y = [compress(band.Y) for band in instance.bands]
+        bands = calibrated(instance, self)
+        manifolds = [band.manifold for band in bands]
+        data = Y = [compress(band.Y) for band in bands]
         detected = np.empty((0, instance.manifold.dimension))  # S_det ← ∅
-        for _ in range(how_many(instance, self.sources, self.criterion)):  # while k ≤ K
+        for _ in range(how_many(instance, self.sources, self.criterion, self)):  # while k ≤ K
             residual = self._residual(instance, Y, manifolds, detected)
             theta = minimize(residual).x  # θ̂_k
             if self.refine:

@@ -10,7 +10,7 @@ from numpy import ndarray
 from ..bounds import position_bounds
 from ..rounding import next_to_element
 from ..wavefronts import Manifold
-from . import kernels
+from . import general, kernels
 from .local_search import unit_of
 
 __all__ = ["covariance", "error_columns", "standard_errors"]
@@ -85,6 +85,9 @@ def covariance(
     """
     kernels.warm_up()
     G = F[:, :0] if spread is None else spread
-    C = kernels.inverse_curvature(*manifold.packed, F, G, lower, upper, unit_of(manifold), theta.ravel())
+    if manifold.has_unit_modulus:
+        C = kernels.inverse_curvature(*manifold.packed, F, G, lower, upper, unit_of(manifold), theta.ravel())
+    else:
+        C = general.inverse_curvature(manifold, F, G, lower, upper, theta)
     C *= math.nan if next_to_element(manifold, theta) else noise / (2 * snapshots)
     return C
