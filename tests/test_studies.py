@@ -27,14 +27,21 @@ RELAXATION = PROJECT / "studies" / "relaxation.toml"
 WITH_CLAIMS = [
     *MANIFESTS,
     *IMPAIRMENTS,
-    *(PROJECT / "studies" / f"{name}.toml" for name in ("optimizer_choice", "relaxation", "certified")),
+    *(PROJECT / "studies" / f"{name}.toml" for name in ("optimizer_choice", "relaxation", "certified", "measured")),
 ]
+DATA = PROJECT / ".." / "shared" / "data"  # of the studies of measured data
 SCENES = 100
 
 
 @functools.cache
 def loaded(manifest: Path) -> Study:
-    return nfbench.load_study(manifest)
+    if manifest.stem != "measured":
+        return nfbench.load_study(manifest)
+    if not DATA.is_dir():
+        pytest.skip(f"the measured data are not in {DATA}")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("NFBENCH_DATA", str(DATA))
+        return nfbench.load_study(manifest)
 
 
 def small(text: str) -> str:

@@ -29,6 +29,7 @@ from .intervals import (
 )
 from .outcomes import Outcomes, Point, outcomes
 from .paired import PairedChange, paired_change, tuning_verdict
+from .parameters import Parameter, parameters
 from .ranking import ALL, Block, Ranking, rank
 from .sentences import sentence, sentences
 from .sign_flips import holm, log_ratios, sign_flip_pvalue, signed_ranks
@@ -49,6 +50,7 @@ __all__ = [
     "Block",
     "Outcomes",
     "PairedChange",
+    "Parameter",
     "Point",
     "Ranking",
     "Target",
@@ -68,6 +70,7 @@ __all__ = [
     "log_ratios",
     "outcomes",
     "paired_change",
+    "parameters",
     "parse_targets",
     "performance_profile",
     "quantile_interval",

@@ -14,6 +14,7 @@ from numpy import ndarray
 from nfbench import Instance, Localization
 
 from .arrays import Array
+from .bands import Band
 from .diagnosis import describe_sources
 from .geometry import Frame
 from .wavefronts import Manifold
@@ -32,6 +33,7 @@ class ArrayInstance(Instance, ABC):
     notes: sentences that say how the data were read.
     gains: known complex gains of the elements, shape (M,); None: not known, or all 1.
     noise_covariance: known covariance of the noise, shape (M, M), in the units of Y; None: not known, or white.
+    further: frequency bins of wideband data besides that of Y.
     coupling: known matrix of mutual coupling, shape (M, M); None: not known, or none.
     failed: indices of elements that are known to receive noise only.
     element_positions: known true positions of the elements relative to the origin [m], shape (M, 3); None: as nominal.
@@ -48,6 +50,12 @@ class ArrayInstance(Instance, ABC):
     coupling: Complex[ndarray, "m m"] | None = None
     failed: tuple[int, ...] = ()
     element_positions: Float[ndarray, "m 3"] | None = None
+    further: tuple[Band, ...] = ()
+
+    @property
+    def bands(self) -> tuple[Band, ...]:
+        """The data of all frequency bins, those of Y first; narrowband data have one."""
+        return Band(self.Y, self.manifold), *self.further
 
     @property
     @abstractmethod
@@ -76,6 +84,9 @@ class ArrayScenario(Protocol):
 
     @property
     def elevation_deg(self) -> tuple[float, float] | None: ...
+
+    @property
+    def bins(self) -> int: ...
 
     def manifold(self) -> Manifold: ...
 

@@ -30,7 +30,15 @@ from scipy.linalg import solve_triangular
 from .rounding import CERTAIN, magnitudes, undefined
 from .wavefronts import Manifold
 
-__all__ = ["deterministic_bound", "information_root", "position_bounds", "stochastic_bound"]
+__all__ = [
+    "deterministic_bound",
+    "information_root",
+    "invert_information",
+    "position_bounds",
+    "root_of_deterministic",
+    "root_of_stochastic",
+    "stochastic_bound",
+]
 
 
 def stochastic_bound(
@@ -55,18 +63,7 @@ def stochastic_bound(
     correlation: correlation matrix of the symbols, shape (K, K), which is singular for coherent sources; None: they are
         uncorrelated.
     """
-    amplitude = np.sqrt(snr)
-    A = manifold.response(theta).T
-    # with P = B·Bᴴ and AB = U·s·Vᴴ, X = BV·s²/(1 + s²)·VᴴBᴴ = factor·factorᴴ; this form avoids cancellation
-    if correlation is None:
-        _, s, Vh = np.linalg.svd(A * amplitude, full_matrices=False)
-        factor = amplitude[:, None] * Vh.conj().T * (s / np.sqrt(1 + s * s))
-    else:
-        values, vectors = np.linalg.eigh(correlation)
-        B = amplitude[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
-        _, s, Vh = np.linalg.svd(A @ B, full_matrices=False)
-        factor = B @ Vh.conj().T * (s / np.sqrt(1 + s * s))
-    return _covariance(manifold, theta, factor, snapshots)
+    return invert_information(*root_of_stochastic(manifold, theta, snr, correlation), snapshots)
 
 
 def deterministic_bound(
@@ -81,8 +78,7 @@ def deterministic_bound(
     theta: sources [rad, m], shape (K, d).
     symbols: symbols S including their amplitudes, √snr_k times a symbol of unit variance, shape (K, T).
     """
-    T = symbols.shape[1]
-    return _covariance(manifold, theta, np.linalg.qr(symbols.conj().T).R.conj().T / math.sqrt(T), T)
+    return invert_information(*root_of_deterministic(manifold, theta, symbols), symbols.shape[1])
 
 
 def position_bounds(covariance: Float[ndarray, "kd kd"], theta: Float[ndarray, "k d"]) -> Float[ndarray, " k"]:
@@ -98,6 +94,35 @@ def position_bounds(covariance: Float[ndarray, "kd kd"], theta: Float[ndarray, "
         metres[:, 0] *= np.cos(theta[:, 1])
     bounds: ndarray = np.sqrt(np.sum(metres**2 * variance, axis=1))
     return bounds
+
+
+def root_of_stochastic(
+    manifold: Manifold,
+    theta: Float[ndarray, "k d"],
+    snr: Float[ndarray, " k"],
+    correlation: Complex[ndarray, "k k"] | None = None,
+) -> tuple[Float[ndarray, "rows kd"], Float[ndarray, " kd"]]:
+    """Return the ``information_root`` of ``stochastic_bound``."""
+    amplitude = np.sqrt(snr)
+    A = manifold.response(theta).T
+    # with P = B·Bᴴ and AB = U·s·Vᴴ, X = BV·s²/(1 + s²)·VᴴBᴴ = factor·factorᴴ; this form avoids cancellation
+    if correlation is None:
+        _, s, Vh = np.linalg.svd(A * amplitude, full_matrices=False)
+        factor = amplitude[:, None] * Vh.conj().T * (s / np.sqrt(1 + s * s))
+    else:
+        values, vectors = np.linalg.eigh(correlation)
+        B = amplitude[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
+        _, s, Vh = np.linalg.svd(A @ B, full_matrices=False)
+        factor = B @ Vh.conj().T * (s / np.sqrt(1 + s * s))
+    return information_root(manifold, theta, factor)
+
+
+def root_of_deterministic(
+    manifold: Manifold, theta: Float[ndarray, "k d"], symbols: Complex[ndarray, "k t"]
+) -> tuple[Float[ndarray, "rows kd"], Float[ndarray, " kd"]]:
+    """Return the ``information_root`` of ``deterministic_bound``."""
+    T = symbols.shape[1]
+    return information_root(manifold, theta, np.linalg.qr(symbols.conj().T).R.conj().T / math.sqrt(T))
 
 
 def information_root(
@@ -125,10 +150,15 @@ def information_root(
     return np.vstack([J.real, J.imag]), errors
 
 
-def _covariance(
-    manifold: Manifold, theta: Float[ndarray, "k d"], factor: Complex[ndarray, "k c"], snapshots: int
+def invert_information(
+    J: Float[ndarray, "rows kd"], rounding: Float[ndarray, " kd"], snapshots: int
 ) -> Float[ndarray, "kd kd"]:
-    J, rounding = information_root(manifold, theta, factor)
+    """Return (2T·JᵀJ)⁻¹; all elements are inf if a column of J is not certain to be independent of the others.
+
+    J: root of the information per snapshot, as ``information_root`` returns it.
+    rounding: rounding errors of its columns.
+    snapshots: number T of snapshots.
+    """
     R = np.linalg.qr(J).R
     n = len(rounding)
     if len(R) < n or not (np.abs(np.diag(R)) > CERTAIN * rounding).all():

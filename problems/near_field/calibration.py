@@ -10,9 +10,10 @@ from jaxtyping import Complex, Float
 from numpy import ndarray
 from scipy.linalg import solve_triangular
 
+from .bands import Band
 from .wavefronts import Amplitude, Manifold, Wavefront
 
-__all__ = ["ALL", "Impaired", "Knowledge", "calibrated", "true_manifold"]
+__all__ = ["ALL", "Impaired", "Knowledge", "calibrated", "true_bands"]
 
 EQUAL = 1e-12  # relative difference of moduli that counts as none
 
@@ -21,16 +22,18 @@ EQUAL = 1e-12  # relative difference of moduli that counts as none
 class Impaired(Protocol):
     """What is known about the array of an instance; None or nothing stands for the nominal value.
 
-    manifold: nominal array and wavefront model. Y: data, shape (M, T). gains: gains with phases of the elements, shape
-    (M,). coupling: matrix of mutual coupling, shape (M, M). noise_covariance: covariance of the noise, up to a factor,
-    shape (M, M). failed: indices of elements that receive noise only. element_positions: true positions of the elements
-    relative to the origin [m], shape (M, 3).
+    manifold: nominal array and wavefront model. Y: data, shape (M, T). bands: data of all frequency bins. gains: gains
+    with phases of the elements, shape (M,). coupling: matrix of mutual coupling, shape (M, M). noise_covariance:
+    covariance of the noise, up to a factor, shape (M, M). failed: indices of elements that receive noise only.
+    element_positions: true positions of the elements relative to the origin [m], shape (M, 3).
     """
 
     @property
     def manifold(self) -> Manifold: ...
     @property
     def Y(self) -> Complex[ndarray, "m t"]: ...  # noqa: N802  # the paper's symbol
+    @property
+    def bands(self) -> tuple[Band, ...]: ...
     @property
     def gains(self) -> Complex[ndarray, " m"] | None: ...
     @property
@@ -79,29 +82,34 @@ class Everything:
 ALL = Everything()
 
 
-def true_manifold(instance: Impaired, amplitude: Amplitude) -> Manifold:
-    """Return the responses in white noise of unit power for an estimator that knows all impairments."""
-    return _informed(instance, Everything(amplitude))[1]
+def true_bands(instance: Impaired, amplitude: Amplitude) -> list[Band]:
+    """Return the bins with the responses in white noise of unit power for an estimator that knows all impairments."""
+    knows = Everything(amplitude)
+    return [replace(band, manifold=_informed(band, instance, knows)[1]) for band in instance.bands]
 
 
-def calibrated(instance: Impaired, knows: Knowledge) -> tuple[Complex[ndarray, "rows t"], Manifold]:
-    """Return the data and the responses W·a(θ) after removing what an estimator knows.
+def calibrated(instance: Impaired, knows: Knowledge) -> list[Band]:
+    """Return the data and the responses W·a(θ) of each frequency bin after removing what an estimator knows.
 
     Rows of failed elements are left out, unless their noise is known to be correlated with that of others: then it says
     something about it. With the covariance R = L·Lᴴ of the noise, the data are L⁻¹Y and the weights W = L⁻¹ΓC. Where
     the weights are diagonal and of one modulus, the data are turned instead, Y ← W*Y/|w|, and responses keep the
-    modulus 1, which makes no difference to the misfit.
+    modulus 1, which makes no difference to the misfit. Gains, coupling and noise are the same in all bins.
     """
-    Y, manifold = _informed(instance, knows)
+    return [_calibrated(band, instance, knows) for band in instance.bands]
+
+
+def _calibrated(band: Band, instance: Impaired, knows: Knowledge) -> Band:
+    Y, manifold = _informed(band, instance, knows)
     w = manifold.weights
     if w is not None and w.ndim == 1 and np.ptp(np.abs(w)) <= EQUAL * np.abs(w).max():
-        return w.conj()[:, None] / np.abs(w).max() * Y, replace(manifold, weights=None)
-    return Y, manifold
+        return Band(w.conj()[:, None] / np.abs(w).max() * Y, replace(manifold, weights=None))
+    return Band(Y, manifold)
 
 
-def _informed(instance: Impaired, knows: Knowledge) -> tuple[Complex[ndarray, "rows t"], Manifold]:
-    """Return L⁻¹Y and the responses L⁻¹ΓC·a(θ), as far as an estimator knows these."""
-    Y, manifold = instance.Y, instance.manifold.under(knows.wavefront)
+def _informed(band: Band, instance: Impaired, knows: Knowledge) -> tuple[Complex[ndarray, "rows t"], Manifold]:
+    """Return L⁻¹Y and the responses L⁻¹ΓC·a(θ) of one bin, as far as an estimator knows these."""
+    Y, manifold = band.Y, band.manifold.under(knows.wavefront)
     if knows.amplitude != manifold.amplitude:
         manifold = replace(manifold, amplitude=knows.amplitude)
     if knows.known_positions and instance.element_positions is not None:

@@ -13,9 +13,10 @@ from numpy import ndarray
 from scipy.optimize import linear_sum_assignment
 
 from .array_instance import ArrayInstance
-from .bounds import deterministic_bound, position_bounds, stochastic_bound
-from .calibration import true_manifold
-from .floor import local_fit, noise_free_columns
+from .bands import Band, bounds_of_bands
+from .bounds import position_bounds
+from .calibration import true_bands
+from .floor import floor_of_bands, local_fit, noise_free_columns
 from .geometry import Frame, cartesian
 from .parameters import parameter_bounds, parameter_scores
 from .wavefronts import Amplitude, Manifold
@@ -44,6 +45,7 @@ class NearFieldInstance(ArrayInstance):
     rician_k: Rician factor κ; inf: pure line of sight.
     gospa_cutoff_m: cutoff distance c [m] of the score ``gospa_m``.
     frame: coordinates in which the array and the estimates are described.
+    further: frequency bins of wideband data besides that of Y.
     gains: gains with phases of the elements, the diagonal of Γ, shape (M,).
     coupling: matrix C of mutual coupling, shape (M, M).
     noise_covariance: covariance of the noise, shape (M, M); None: the noise is white, of unit variance.
@@ -71,6 +73,12 @@ class NearFieldInstance(ArrayInstance):
     element_positions: Float[ndarray, "m 3"] | None = None
     amplitude: Amplitude = "constant"
     correlation: Complex[ndarray, "k k"] | None = None
+    further: tuple[Band, ...] = ()
+
+    @property
+    def bands(self) -> tuple[Band, ...]:
+        """The data of all frequency bins, those of Y first; narrowband data have one."""
+        return Band(self.Y, self.manifold, self.H, self.symbols), *self.further
 
     @property
     def sources(self) -> int:
@@ -110,9 +118,9 @@ class NearFieldInstance(ArrayInstance):
     def bounds(self) -> dict[str, float]:
         """Return reference values [m] for the errors of this scene, by column name.
 
-        In pure line of sight these are the Cramér–Rao bounds of the positions. They are inf if the sources cannot be
-        distinguished. They do not take the box into account: if a bound is comparable with the size of the box, an
-        estimate within the box can have a smaller error.
+        In pure line of sight these are the Cramér–Rao bounds of the positions, given the data of all frequency bins.
+        They are inf if the sources cannot be distinguished. They do not take the box into account: if a bound is
+        comparable with the size of the box, an estimate within the box can have a smaller error.
 
         crb_m: root mean square of the stochastic bounds over the sources.
         crb_deterministic_m: root mean square of the deterministic bounds, for the symbols that were sent.
@@ -134,13 +142,15 @@ class NearFieldInstance(ArrayInstance):
         if self.manifold.wavefront == "planar":
             return {}
         if math.isfinite(self.rician_k):
-            columns = noise_free_columns(self.H, self.symbols)
-            fitted = local_fit(columns, self.manifold, self.theta, self.lower, self.upper)
+            if self.further:
+                fitted = floor_of_bands(self.bands, self.theta, self.lower, self.upper)
+            else:
+                columns = noise_free_columns(self.H, self.symbols)
+                fitted = local_fit(columns, self.manifold, self.theta, self.lower, self.upper)
             errors = np.linalg.norm(cartesian(fitted) - cartesian(self.theta), axis=1)
             return {"floor_m": _root_mean_square(errors)}
-        manifold = true_manifold(self, self.amplitude)
-        stochastic = stochastic_bound(manifold, self.theta, self.snr, self.symbols.shape[1], self.correlation)
-        deterministic = deterministic_bound(manifold, self.theta, self.symbols)
+        bands = true_bands(self, self.amplitude)
+        stochastic, deterministic = bounds_of_bands(bands, self.theta, self.snr, self.correlation)
         per_source = position_bounds(stochastic, self.theta)
         return {
             "crb_m": _root_mean_square(per_source),

@@ -13,6 +13,7 @@ from nfbench import Formulation, Incompatible, Instance, Minimize, Reference, So
 
 from .. import search
 from ..array_instance import ArrayInstance
+from ..bands import one_band
 from ..calibration import calibrated
 from ..certificate import Certificate, certify, certify_one_source, unproven
 from ..certificate import warm_up as warm_up_certificate
@@ -81,12 +82,14 @@ class Certified(Formulation):
     def solve(self, instance: ArrayInstance, minimize: Minimize) -> Solution:
         """Return the sources (K, d) [rad, m] with the columns above.
 
-        Raises Incompatible if there are fewer snapshots than sources, or if the wavefront is planar.
+        Raises Incompatible if there are fewer snapshots than sources, if the wavefront is planar, or if there are
+        several frequency bins.
         """
+        one_band(instance.bands, "certified", "as the proofs hold for one wavelength")
         K = how_many(instance, self.sources, self.criterion, self)
         if K == 0:
             return Solution(np.empty((0, instance.manifold.dimension)))
-        (Y, manifold), box = calibrated(instance, self), (instance.lower, instance.upper)
+        (Y, manifold), box = calibrated(instance, self)[0].received, (instance.lower, instance.upper)
         U_s, eigenvalues, noise = decompose(Y, K)
         found = certified_minimum(U_s, manifold, *box)
         deviation, excess = np.sqrt(eigenvalues), eigenvalues - noise

@@ -13,10 +13,21 @@ from numpy import ndarray
 from nfbench import Formulation, Ge, Gt, Instance, Le, Minimize, Solution
 
 from ..array_instance import ArrayInstance, ArrayScenario
+from ..bands import Band
 from ..calibration import calibrated
 from ..enumeration import Criterion, Sources, how_many
-from ..objectives.factors import Objective, factor
-from ..search import grid_size, response_grid, search_greedily, standard_errors
+from ..objectives.factors import Objective, factor, noise_weights
+from ..objectives.subspace_fitting import SubspaceFit
+from ..search import (
+    BandFit,
+    covariance_of_bands,
+    error_columns,
+    grid_size,
+    response_grid,
+    search_bands_greedily,
+    search_greedily,
+    standard_errors,
+)
 from ..search import warm_up as warm_up_search
 from ..subspace import decompose
 from ..wavefronts import Amplitude, Wavefront
@@ -37,6 +48,8 @@ class GridRefine(Formulation):
     All sources are then refined together by Levenberg–Marquardt on the variable projection. After that, as in
     alternating projection (Ziskind & Wax 1988), each source in turn is chosen again given the others and all are
     refined again, until a sweep over the sources brings no improvement.
+
+    For several frequency bins the misfit is the sum of theirs, weighted as in ``neef``.
 
     The standard errors of the estimates are stored in the columns std_1_m, std_2_m, … and std_m. They come from the
     curvature of J at the minimum, and assume pure line of sight and white noise.
@@ -83,7 +96,7 @@ class GridRefine(Formulation):
         counts = grid_size(scenario.manifold(), *scenario.box(), self.density)
         M, K, points = scenario.array.count, scenario.sources, math.prod(counts)
         passes = K + min(self.sweeps, 2)  # over the grid: one per source, and one per sweep
-        seconds = search_s(points, M, 2) * passes
+        seconds = search_s(points, M, 2) * passes * scenario.bins
         size = f"{' × '.join(map(str, counts))} points"
         if points > MANY:
             return [f"density: {self.density:g} gives a grid of about {size}, which may not fit in memory; reduce it"]
@@ -100,7 +113,10 @@ class GridRefine(Formulation):
         K = how_many(instance, self.sources, self.criterion, self)
         if K == 0:
             return Solution(np.empty((0, instance.manifold.dimension)))
-        Y, manifold = calibrated(instance, self)
+        bands = calibrated(instance, self)
+        if len(bands) > 1:
+            return self._solve_bands(bands, instance, K)
+        Y, manifold = bands[0].Y, bands[0].manifold
         grid = response_grid(manifold, instance.lower, instance.upper, self.density)
         T = Y.shape[1]
         F, spread, noise = _factors(Y, K, self.objective)
@@ -109,6 +125,28 @@ class GridRefine(Formulation):
             noise = found.value / max(len(F) - K, 1)
         theta, box = found.x.reshape(K, -1), (grid.lower, grid.upper)
         return Solution(theta, standard_errors(theta, grid.manifold, *box, F, noise, T, spread))
+
+    def _solve_bands(self, bands: list[Band], instance: ArrayInstance, K: int) -> Solution:
+        """Return the minimizer of the sum of the misfits of several frequency bins."""
+        found = [_factors(band.Y, K, self.objective) for band in bands]
+        weights = [1.0] * len(bands) if self.objective == "esf" else noise_weights([band.Y for band in bands], K)
+        fits = [
+            BandFit(math.sqrt(weight) * F, band.manifold)
+            for weight, (F, _, _), band in zip(weights, found, bands, strict=True)
+        ]
+        box = instance.lower, instance.upper
+        best = search_bands_greedily(fits, *box, K, self.density, self.sweeps)
+        theta = best.x.reshape(K, -1)
+        spreads = [weight * (F if G is None else G) for weight, (F, G, _) in zip(weights, found, strict=True)]
+        noise = [
+            SubspaceFit(*fit, *box, sources=K).value(best.x) / weight / max(len(fit.F) - K, 1)
+            if sigma is None
+            else sigma
+            for weight, fit, (_, _, sigma) in zip(weights, fits, found, strict=True)
+        ]
+        variances = [sigma / (2 * band.Y.shape[1]) for sigma, band in zip(noise, bands, strict=True)]
+        C = covariance_of_bands(theta, fits, *box, variances, spreads)
+        return Solution(theta, error_columns(C, theta, *box))
 
 
 def _factors(

@@ -13,6 +13,7 @@ from scipy.linalg import hankel, toeplitz
 from nfbench import Formulation, Incompatible, Instance, Minimize
 
 from ..array_instance import ArrayInstance, ArrayScenario
+from ..bands import one_band
 from ..calibration import calibrated
 from ..enumeration import Criterion, Sources, how_many
 from ..objectives.rls import RLS
@@ -78,9 +79,11 @@ class ModifiedMusic(Formulation):
         """Return the sources (K, 2) [rad, m], the highest peak in angle first; fewer if there are fewer peaks.
 
         Raises Incompatible if the scenario has elevation, if the array is not a centred ULA along y with a spacing
-        below λ/(4·sinφ_max), if it has 2K elements or fewer, or if there are fewer snapshots than sources.
+        below λ/(4·sinφ_max), if it has 2K elements or fewer, if there are fewer snapshots than sources, or if there are
+        several frequency bins.
         """
-        Y, manifold = calibrated(instance, self)
+        one_band(instance.bands, "modified-music", "as the statistics of the angles are those of one wavelength")
+        Y, manifold = calibrated(instance, self)[0].received
         K, M = how_many(instance, self.sources, self.criterion, self), len(Y)
         spacing = _spacing(instance, manifold)
         if K == 0:
@@ -95,7 +98,7 @@ class ModifiedMusic(Formulation):
         positions[:, 1] = 2 * spacing * np.arange(len(U_z))
         # b_i = exp(j2kδ·i·sinφ)
         far = Manifold(positions, instance.manifold.wavelength_m, "planar", has_elevation=False)
-        estimate = grid_maxima(U_z, far, [azimuths, ranges[:1]], K)
+        estimate = grid_maxima([(U_z, far)], [azimuths, ranges[:1]], K)
         if self.refine:
             angles = RLS(U_z, far, instance.lower, instance.upper)  # minimal where 1/(L − ‖U_zᴴb‖²) is maximal
             estimate = np.array([refine(angles, theta, far) for theta in estimate])

@@ -14,8 +14,9 @@ from nfbench import Formulation, Instance, Minimize, Reference
 from ..array_instance import ArrayInstance
 from ..calibration import calibrated
 from ..enumeration import Criterion, Sources, how_many
-from ..objectives.factors import Objective, factor
+from ..objectives.factors import Objective, factors
 from ..objectives.subspace_fitting import SubspaceFit
+from ..objectives.sum_of_fits import together
 from ..search import warm_up as warm_up_search
 from ..subspace import decompose
 from ..wavefronts import Amplitude, Wavefront
@@ -29,6 +30,10 @@ __all__ = ["Neef"]
 @dataclass(frozen=True)
 class Neef(Formulation):
     """Near-field eigen-subspace fitting: minimizes ESF once over all sources (Mousavirad et al., Algorithm 2).
+
+    For several frequency bins the objective is the sum of theirs. In "wsf" and "dml" the bins are weighted by their
+    numbers of snapshots divided by the powers of their noise, so that the sum is the log-likelihood of all data; in
+    "esf" all bins have the same weight.
 
     objective: what is fitted. "esf" is the signal subspace with unit weights, as in the paper. "wsf" weights its
         eigenvectors by their eigenvalues, which is as accurate as possible also for close and for coherent sources, at
@@ -73,12 +78,13 @@ class Neef(Formulation):
     def reference(self, instance: ArrayInstance) -> Reference | None:
         """Return the certified minimum of ESF; None where no proof is known.
 
-        These are the other objectives, and responses whose modulus is not 1, as those of known gains.
+        These are the other objectives, several frequency bins, and responses whose modulus is not 1, as those of known
+        gains.
         """
         K = how_many(instance, self.sources, self.criterion, self)
-        if self.objective != "esf" or K == 0:
+        if self.objective != "esf" or K == 0 or len(instance.bands) > 1:
             return None
-        Y, manifold = calibrated(instance, self)
+        Y, manifold = calibrated(instance, self)[0].received
         if not manifold.has_unit_modulus:
             return None
         found = certified_minimum(decompose(Y, K).U_s, manifold, instance.lower, instance.upper)
@@ -93,8 +99,9 @@ class Neef(Formulation):
         K = how_many(instance, self.sources, self.criterion, self)
         if K == 0:
             return np.empty((0, instance.manifold.dimension))
-        Y, manifold = calibrated(instance, self)
-        F = factor(Y, K, self.objective)
-        problem = SubspaceFit(F, manifold, instance.lower, instance.upper, sources=K)
+        bands = calibrated(instance, self)
+        fitted, box = factors([band.Y for band in bands], K, self.objective), (instance.lower, instance.upper)
+        parts = [SubspaceFit(F, band.manifold, *box, sources=K) for F, band in zip(fitted, bands, strict=True)]
+        problem = together(parts)
         x = minimize(problem).x
-        return (refine(problem, x, manifold) if self.refine else x).reshape(K, -1)
+        return (refine(problem, x, bands[0].manifold) if self.refine else x).reshape(K, -1)

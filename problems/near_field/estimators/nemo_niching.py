@@ -12,6 +12,7 @@ from numpy import ndarray
 from nfbench import Formulation, Incompatible, Instance, Minimize
 
 from ..array_instance import ArrayInstance
+from ..bands import one_band
 from ..calibration import calibrated
 from ..enumeration import Criterion, Sources, how_many
 from ..objectives.rls import RLS
@@ -68,10 +69,11 @@ class NemoNiching(Formulation):
     def solve(self, instance: ArrayInstance, minimize: Minimize) -> Float[ndarray, "k d"]:
         """Return the sources (K, d) [rad, m], the deepest minimum first; fewer if the population is smaller.
 
-        Raises Incompatible if the solver does not report a population.
+        Raises Incompatible if the solver does not report a population, or if there are several frequency bins.
         """
+        one_band(instance.bands, "nemo-niching", "which searches one problem of one wavelength")
         K = how_many(instance, self.sources, self.criterion, self)
-        Y, manifold = calibrated(instance, self)
+        Y, manifold = calibrated(instance, self)[0].received
         if K == 0:
             return np.empty((0, manifold.dimension))
         problem = RLS(compress(Y), manifold, instance.lower, instance.upper)
@@ -81,5 +83,5 @@ class NemoNiching(Formulation):
                 "solver: expected one that keeps its last population, from which nemo-niching takes the sources, "
                 "got one that keeps none; use for example crowding-de"
             )
-        individuals, minima = pick_peaks(problem, manifold, population, K)
+        individuals, minima = pick_peaks(problem, population, K)
         return minima if self.refine else individuals

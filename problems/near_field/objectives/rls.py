@@ -57,7 +57,7 @@ class RLS(Problem):
         if lower.shape != (manifold.dimension,) or upper.shape != lower.shape:
             raise ValueError(f"lower, upper: expected shape ({manifold.dimension},), got {lower.shape}, {upper.shape}")
         self.lower, self.upper = lower, upper
-        self._manifold = manifold
+        self.manifold = manifold
         kernels.warm_up()
         L = compress(Y)
         self._choose_kernels(L)
@@ -73,12 +73,12 @@ class RLS(Problem):
 
     def _choose_kernels(self, L: Complex[ndarray, "m c"]) -> None:
         """Set the functions that return M·‖aᴴL‖²/‖a‖², which is ‖aᴴL‖² where the entries of a have modulus 1."""
-        M = self._manifold.elements
+        M = self.manifold.elements
         self._projected_energy: Callable[[ndarray], ndarray]  # of points
         self._projected_energy_one: Callable[[ndarray], float]  # and of one
         self._projected_energy_and_gradient: Callable[[ndarray], tuple[float, ndarray]]
-        if (flat := flattened(L, self._manifold)) is None:
-            fit = GeneralFit(L * np.sqrt(M), self._manifold, least=LEAST)
+        if (flat := flattened(L, self.manifold)) is None:
+            fit = GeneralFit(L * np.sqrt(M), self.manifold, least=LEAST)
             self._projected_energy, self._projected_energy_one = fit.explained, fit.explained_one
             self._projected_energy_and_gradient = fit.explained_and_gradient
             return
@@ -89,16 +89,16 @@ class RLS(Problem):
         self._projected_energy_and_gradient = partial(kernels.projected_energy_and_gradient, *factor)
 
     def evaluate(self, X: Float[ndarray, "p n"]) -> Float[ndarray, " p"]:
-        residual = np.maximum(self._energy - self._projected_energy(X) / self._manifold.elements, 0.0)
+        residual = np.maximum(self._energy - self._projected_energy(X) / self.manifold.elements, 0.0)
         return residual + self._repulsion(X) if len(self._detected) else residual
 
     def value(self, x: Float[ndarray, " n"]) -> float:
-        residual: float = max(self._energy - self._projected_energy_one(x) / self._manifold.elements, 0.0)
+        residual: float = max(self._energy - self._projected_energy_one(x) / self.manifold.elements, 0.0)
         return residual + self._repulsion_one(x) if len(self._detected) else residual
 
     def value_and_gradient(self, x: Float[ndarray, " n"]) -> tuple[float, Float[ndarray, " n"]]:
         """The value and the gradient; of the repulsion a subgradient, zero where it has a kink."""
-        M = self._manifold.elements
+        M = self.manifold.elements
         energy, slope = self._projected_energy_and_gradient(x)
         gradient: Float[ndarray, " n"] = -slope / M
         value = max(self._energy - energy / M, 0.0)

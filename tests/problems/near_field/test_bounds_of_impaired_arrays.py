@@ -6,7 +6,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from nfbench.problems.near_field.bounds import deterministic_bound, stochastic_bound
-from nfbench.problems.near_field.calibration import true_manifold
+from nfbench.problems.near_field.calibration import true_bands
 from nfbench.problems.near_field.scenario import NearField
 
 SCENE = {
@@ -77,7 +77,9 @@ def test_the_stochastic_bound_follows_from_the_full_gaussian_model(rho):
     F = np.array([[np.trace(inverse @ a @ inverse @ b).real for b in slopes] for a in slopes]) * 50
     expected = np.linalg.inv(F)[:4, :4]
 
-    C = stochastic_bound(true_manifold(instance, "spherical"), instance.theta, instance.snr, 50, instance.correlation)
+    C = stochastic_bound(
+        true_bands(instance, "spherical")[0].manifold, instance.theta, instance.snr, 50, instance.correlation
+    )
     assert_same_covariance(C, expected)
     nominal = stochastic_bound(instance.manifold, instance.theta, instance.snr, 50)
     assert np.abs(np.diag(nominal) / np.diag(expected) - 1).max() > 0.1
@@ -101,7 +103,9 @@ def test_the_deterministic_bound_follows_from_the_whitened_data():
                 slopes.append((A @ E).ravel())
     J = np.array(slopes)
     expected = np.linalg.inv(2 * (J.conj() @ J.T).real)[:4, :4]
-    assert_same_covariance(deterministic_bound(true_manifold(instance, "spherical"), instance.theta, S), expected)
+    assert_same_covariance(
+        deterministic_bound(true_bands(instance, "spherical")[0].manifold, instance.theta, S), expected
+    )
 
 
 def test_the_bound_of_coherent_sources_is_the_limit_of_correlated_ones():
