@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Protocol
+from typing import ClassVar, Protocol
 
 import numpy as np
 from jaxtyping import Complex, Float
@@ -15,6 +15,7 @@ from nfbench import Instance, Localization
 
 from .arrays import Array
 from .bands import Band
+from .calibration import ALL, calibrated
 from .diagnosis import describe_sources
 from .geometry import Frame
 from .wavefronts import Manifold
@@ -37,7 +38,10 @@ class ArrayInstance(Instance, ABC):
     coupling: known matrix of mutual coupling, shape (M, M); None: not known, or none.
     failed: indices of elements that are known to receive noise only.
     element_positions: known true positions of the elements relative to the origin [m], shape (M, 3); None: as nominal.
+    is_measured: whether gains and noise were given with the data, so that estimators know them.
     """
+
+    is_measured: ClassVar[bool] = False
 
     Y: Complex[ndarray, "m t"]
     manifold: Manifold
@@ -68,8 +72,8 @@ class ArrayInstance(Instance, ABC):
         The positions are in the coordinates in which the user describes the array; see ``describe_sources``.
         """
         theta = np.asarray(estimate, dtype=np.float64).reshape(-1, self.manifold.dimension)
-        box = self.lower, self.upper
-        found = describe_sources(self.Y, self.manifold, self.frame, *box, self.sources, theta, self.truth())
+        Y, manifold = calibrated(self, ALL)[0].received if self.is_measured else (self.Y, self.manifold)
+        found = describe_sources(Y, manifold, self.frame, self.lower, self.upper, self.sources, theta, self.truth())
         return replace(found, notes=self.notes)
 
 

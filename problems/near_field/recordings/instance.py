@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import final
+from typing import ClassVar, final
 
 import numpy as np
 from jaxtyping import Complex, Float
@@ -40,6 +40,8 @@ class RecordedInstance(ArrayInstance):
     noiseless: measured responses of the sources, shape (M, K); None: not known.
     further: frequency bins besides that of Y, scaled in the same way.
     """
+
+    is_measured: ClassVar[bool] = True
 
     Y: Complex[ndarray, "m t"]
     manifold: Manifold
