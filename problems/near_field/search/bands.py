@@ -58,6 +58,39 @@ def _at(fits: Sequence[BandFit], unit: Float[ndarray, " d"], x: Float[ndarray, "
     return _Point(sum(J), np.sum(g, axis=0), np.sum(H, axis=0), min(pivot))
 
 
+class _Chart(NamedTuple):
+    """The coordinates z = angle/unit or 1/(range·unit) of the search, and the box in them."""
+
+    units: Float[ndarray, " n"]
+    low: Float[ndarray, " n"]
+    high: Float[ndarray, " n"]
+    is_range: Bool[ndarray, " n"]
+
+    @staticmethod
+    def of(
+        unit: Float[ndarray, " d"], lower: Float[ndarray, " d"], upper: Float[ndarray, " d"], sources: int
+    ) -> _Chart:
+        d = len(unit)
+        units, low, high = (np.tile(each, sources) for each in (unit, lower, upper))
+        return _Chart(units, low, high, np.arange(len(units)) % d == d - 1)
+
+    @property
+    def ends(self) -> Float[ndarray, "2 n"]:
+        """The bounds of z."""
+        ends: ndarray = np.sort([self.invert(self.low) / self.units, self.invert(self.high) / self.units], axis=0)
+        return ends
+
+    def invert(self, v: Float[ndarray, " n"]) -> Float[ndarray, " n"]:
+        return np.where(self.is_range, 1 / np.where(self.is_range, v, 1.0), v)
+
+    def locate(self, z: Float[ndarray, " n"]) -> Float[ndarray, " n"]:
+        """Return x of z [rad, m], exactly on an edge where z is."""
+        least, greatest = self.ends
+        placed = np.clip(self.invert(z * self.units), self.low, self.high)
+        placed = np.where(z <= least, np.where(self.is_range, self.high, self.low), placed)
+        return np.where(z >= greatest, np.where(self.is_range, self.low, self.high), placed)
+
+
 def search_bands_locally(
     fits: Sequence[BandFit],
     lower: Float[ndarray, " d"],
@@ -77,24 +110,12 @@ def search_bands_locally(
     """
     kernels.warm_up()
     d = len(lower)
-    unit = unit_of(_shortest(fits))
-    is_range, units = np.arange(len(x)) % d == d - 1, np.tile(unit, len(x) // d)
-    low, high = np.tile(lower, len(x) // d), np.tile(upper, len(x) // d)
-
-    def invert(v: Float[ndarray, " n"]) -> Float[ndarray, " n"]:
-        return np.where(is_range, 1 / np.where(is_range, v, 1.0), v)
-
-    def locate(z: Float[ndarray, " n"]) -> Float[ndarray, " n"]:
-        """Return x of z [rad, m], exactly on an edge where z is."""
-        placed = np.clip(invert(z * units), low, high)
-        placed = np.where(z <= ends[0], np.where(is_range, high, low), placed)
-        return np.where(z >= ends[1], np.where(is_range, low, high), placed)
-
-    ends = np.sort([invert(low) / units, invert(high) / units], axis=0)
+    chart = _Chart.of(unit_of(_shortest(fits)), lower, upper, len(x) // d)
+    ends = chart.ends
     held = np.arange(len(x)) < fixed * d
     energy = sum(float(np.vdot(F, F).real) for F, _ in fits)
-    z, best = invert(x) / units, np.array(x, dtype=np.float64)
-    now = _at(fits, unit, best)
+    z, best = chart.invert(x) / chart.units, np.array(x, dtype=np.float64)
+    now = _at(fits, chart.units[:d], best)
     damping, growth, steps = FIRST_DAMPING, 2.0, 0
     while steps < ITERATIONS and damping <= LAST_DAMPING:
         limits = np.maximum(ends[0] - z, -LONGEST), np.minimum(ends[1] - z, LONGEST)
@@ -106,9 +127,9 @@ def search_bands_locally(
             damping, growth = damping * growth, 2 * growth
             continue
         moved = np.where(s == ends[0] - z, ends[0], np.where(s == ends[1] - z, ends[1], np.clip(z + s, *ends)))
-        trial = np.where(held, best, locate(moved))
+        trial = np.where(held, best, chart.locate(moved))
         steps += 1
-        then = _at(fits, unit, trial)
+        then = _at(fits, chart.units[:d], trial)
         drop = now.J - then.J
         if not drop > 0:
             if predicted <= LOST * now.J:
