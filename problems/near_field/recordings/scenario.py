@@ -229,12 +229,14 @@ class Recorded(Measured):
     @cached_property
     def _further(self) -> list[Band]:
         """The snapshots at the further frequencies. Raises ValueError."""
-        manifold, carrier, further = self.manifold(), self.frequency_hz, self.further_frequencies_hz
-        if carrier is None:  # of data other than samples, which have no further frequencies
+        if not self.further_frequencies_hz:
             return []
-        if len({carrier, *further}) < self.bins:
-            raise ValueError(f"expected different frequencies, none of them frequency_hz = {carrier:g}")
-        return [Band(self._at(f).Y, replace(manifold, wavelength_m=self.wavelength * carrier / f)) for f in further]
+        manifold, speed = self.manifold(), self.speed_m_s
+        if self.frequency_hz is None or speed is None:
+            raise ValueError("expected none without frequency_hz and speed_m_s")
+        if len({self.frequency_hz, *self.further_frequencies_hz}) < self.bins:
+            raise ValueError(f"expected different frequencies, none of them frequency_hz = {self.frequency_hz:g}")
+        return [Band(self._at(f).Y, replace(manifold, wavelength_m=speed / f)) for f in self.further_frequencies_hz]
 
     def _at(self, frequency_hz: float | None) -> _Data:
         """Return the snapshots at a frequency of the elements that are used. Raises ValueError."""
