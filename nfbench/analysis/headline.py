@@ -23,7 +23,7 @@ def headline(block: Block, rows: pd.DataFrame) -> tuple[str, str]:
     if n == 0:
         return f"No scene was finished by all {k} methods.", "Nothing is ranked yet."
     if not block.order:
-        best = max(range(k), key=lambda i: float(rows["solved_share"].iloc[i]))
+        best = min(range(k), key=lambda i: (-float(rows["solved_share"].iloc[i]), float(rows["mean_rank"].iloc[i])))
         if k == 1:
             return f"{_record(block, rows, best)}.", f"It is the only method, so nothing is compared; {_scenes(n)}."
         return (
@@ -32,9 +32,10 @@ def headline(block: Block, rows: pd.DataFrame) -> tuple[str, str]:
         )
     first, *rest = block.order
     cost = cost_text(block, first)
-    which = f"{_record(block, rows, first)}{f', at {cost}' if cost else ''}."
+    record = _record(block, rows, first).removeprefix(block.methods[first]).strip()
+    which = f"Use {block.methods[first]}: it {record}{f' and needs {cost}' if cost else ''}."
     if k == 1:
-        return which, f"It is the only method, so nothing is compared; {_scenes(n)}."
+        return f"{_record(block, rows, first)}.", f"It is the only method, so nothing is compared; {_scenes(n)}."
     beaten = k - 1 - len(rest)
     if rest:
         others = f"On {_scenes(n)} {names([block.methods[i] for i in rest])} cannot be distinguished from it"
@@ -44,8 +45,9 @@ def headline(block: Block, rows: pd.DataFrame) -> tuple[str, str]:
     else:
         what = f"each of the other {beaten} methods" if beaten > 1 else "the other method"
         sure = f"On {_scenes(n)} {what} is significantly less reliable, less accurate or more expensive."
-    risk = " The risk of a wrong exclusion is at most 5 % for all comparisons together." if beaten else ""
-    return which, sure[:-1] + (f" ({risk.strip()[0].lower()}{risk.strip()[1:-1]})." if risk else ".")
+    if beaten:
+        sure = f"{sure[:-1]} (the risk of any wrong exclusion is at most 5 %)."
+    return which, sure
 
 
 def _record(block: Block, rows: pd.DataFrame, i: int) -> str:

@@ -9,15 +9,15 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from nfbench.analysis import ALL, Block, fixed_budget_table, runtime_distribution
+from nfbench.analysis import ALL, Axis, Block, fixed_budget_table, runtime_distribution
 from nfbench.results import Progress, find_progress
 
 from .study import Study, number, numbers
 
 __all__ = ["FIGURES", "after_budget", "bound_of", "budgets", "distributions", "measures", "progress", "rank_rows"]
 
-AXES = (("evaluations", "evaluations"), ("seconds", "seconds"))
-CELLS = 150_000  # numbers of all distributions together
+AXES: tuple[Axis, ...] = ("evaluations", "seconds")
+CELLS = 100_000  # numbers of all distributions together
 FIGURES = 16  # methods whose progress is embedded
 RANK_COLUMNS = ("solved_share", "solved_low", "solved_high", "error_ratio", "ratio_low", "ratio_high", "mean_rank")
 
@@ -38,9 +38,9 @@ def measures(study: Study) -> list[dict[str, Any]]:
     for target in study.targets:
         rows = study.target_table[study.target_table["target"] == target]
         listed += [
-            ("share", f"Runs that reach {target} [%]", rows, 100.0),
-            ("ert", f"Evaluations per hit of {target} (ERT)", rows, 1.0),
-            ("ert_s", f"Seconds per hit of {target} (ERT)", rows, 1.0),
+            ("share", f"Runs that reach {study.goal(target)} [%]", rows, 100.0),
+            ("ert", f"Evaluations per hit of {study.goal(target)} (ERT)", rows, 1.0),
+            ("ert_s", f"Seconds per hit of {study.goal(target)} (ERT)", rows, 1.0),
         ]
     listed += [
         ("evaluations", "Evaluations per run", study.summary, 1.0),
@@ -59,7 +59,11 @@ def _measure(study: Study, column: str, name: str, table: pd.DataFrame, factor: 
             for side in arrays:
                 arrays[side][study.index[row["method"]], place] = factor * row[sides[side]]
     found: dict[str, Any] = {"name": name, "log": factor == 1.0, "bounded": name.startswith(("RMSE", "Median error ["))}
-    found |= {side: [numbers(row) for row in array] for side, array in arrays.items() if not np.isnan(array).all()}
+    found |= {
+        side: [numbers(row) for row in array]
+        for side, array in arrays.items()
+        if side == "value" or not np.isnan(array).all()
+    }
     return found
 
 
@@ -97,7 +101,7 @@ def _table(study: Study, block: Block, rows: pd.DataFrame) -> dict[str, Any]:
     for i, row in enumerate(rows.to_dict("records")):
         own = summaries.get(row["method"], {})
         seconds = [each.columns["seconds"][:, i] for each in block.points if "seconds" in each.columns]
-        line = {
+        line: dict[str, Any] = {
             "method": study.index[row["method"]],
             "best": row["method"] in best,
             **{name: number(row[name]) for name in RANK_COLUMNS},
@@ -109,40 +113,41 @@ def _table(study: Study, block: Block, rows: pd.DataFrame) -> dict[str, Any]:
             "failed": sum(int(each.failed[:, i].sum()) for each in block.points if each.failed is not None),
         }
         lines.append(line)
-    order = [study.index[block.methods[i]] for i in block.order]
-    place = {method: i for i, method in enumerate(order)}
-    lines.sort(key=lambda line: (place.get(line["method"], len(place)), line["mean_rank"] or math.inf))
-    return {"point": point, "n": block.n, "target": block.points[0].target, "rows": lines}
+    order = {study.index[block.methods[i]]: place for place, i in enumerate(block.order)}
+    lines.sort(key=lambda each: (order.get(each["method"], len(order)), each["mean_rank"] or math.inf))
+    return {"point": point, "n": block.n, "target": study.goal(block.points[0].target), "rows": lines}
 
 
 def _at(study: Study, table: pd.DataFrame, point: int) -> Iterator[dict[Any, Any]]:
     return (row for row in table.to_dict("records") if study.place(row) == point)
 
 
-def distributions(study: Study) -> dict[str, list[list[dict[str, Any]]]]:
-    """The share of runs [‰] that each method has solved after a cost, for each axis, target and point."""
+def distributions(study: Study) -> dict[str, list[list[dict[int, Any]]]]:
+    """The costs, and the share of runs [‰] that a method has solved after each, by axis, target, point and method.
+
+    Each curve ends at the budget of its method.
+    """
     hits = study.evidence.hits.frame
     curves = len(study.methods) * len(study.points) * max(len(study.targets), 1) * len(AXES)
     most = int(np.clip(CELLS / max(curves, 1), 12, 60))
-    found: dict[str, list[list[dict[str, Any]]]] = {}
-    for axis, _ in AXES:
-        found[axis] = []
-        for target in study.targets:
-            rows = hits[hits["target"] == target]
-            table = runtime_distribution(rows, axis, points=most, bands=False)  # type: ignore[arg-type]
-            found[axis].append(_curves(study, table, axis))
+    found: dict[str, list[list[dict[int, Any]]]] = {}
+    for axis in AXES:
+        found[axis] = [[{} for _ in study.points] for _ in study.targets]
+        for key, rows in hits.groupby(["target", "method"], sort=False):
+            target, method = key
+            table = runtime_distribution(rows, axis, points=most, bands=False)
+            _enter(study, found[axis][study.targets.index(str(target))], table, axis, study.index[str(method)])
     return found
 
 
-def _curves(study: Study, table: pd.DataFrame, axis: str) -> list[dict[str, Any]]:
-    points: list[dict[str, Any]] = [{"x": [], "y": {}} for _ in study.points]
-    groups = table.groupby([*study.swept, "method"], sort=False)
-    for _, rows in groups:
-        first = rows.iloc[0].to_dict()
-        point = points[study.place(first)]
-        point["x"] = numbers(rows[axis])
-        point["y"][study.index[first["method"]]] = [round(1000 * share) for share in rows["share"]]
-    return points
+def _enter(study: Study, points: list[dict[int, Any]], table: pd.DataFrame, axis: Axis, method: int) -> None:
+    """Enter the curves of one method and target, without the costs at which nothing changes."""
+    parts = [rows for _, rows in table.groupby(study.swept, sort=False)] if study.swept else [table]
+    for rows in parts:
+        share = (1000 * rows["share"].to_numpy(dtype=np.float64)).round().astype(int)
+        kept = np.append(True, np.diff(share) != 0)
+        kept[-1] = True
+        points[study.place(rows.iloc[0].to_dict())][method] = [numbers(rows[axis][kept]), share[kept].tolist()]
 
 
 def budgets(study: Study) -> list[str]:
@@ -166,7 +171,7 @@ def progress(study: Study, measure: str) -> Progress | None:
 
 
 def after_budget(study: Study, found: Progress) -> list[dict[str, Any]]:
-    """The median with its interval after each budget, at each point: ``{"x": …, "m": {method: [value, low, high]}}``."""
+    """The median with its interval after each budget at each point: ``{"x": …, "m": {method: [value, low, high]}}``."""
     table = fixed_budget_table(found.frame)
     points: list[dict[str, Any]] = [{"x": [], "m": {}} for _ in study.points]
     for _, rows in table.groupby([*study.swept, "method"], sort=False):

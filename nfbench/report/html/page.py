@@ -114,7 +114,7 @@ def _data(study: Study, redrawn: Redrawn) -> tuple[dict[str, Any], list[str]]:
     formulations = list(dict.fromkeys(by[study.methods[i]] for i in study.shown))
     hardest = [(point, each[i]) for i in range(3) for point, each in chosen.items() if i < len(each)]
     try:
-        landscapes = redrawn.landscapes([(0, _first(chosen)), *hardest] if chosen else [], formulations)
+        landscapes = redrawn.landscapes(list(dict.fromkeys([_first(chosen), *hardest])) if chosen else [], formulations)
     except NfbenchError as reason:
         landscapes = []
         notes.append(f"Landscapes are missing: {reason}")
@@ -125,7 +125,7 @@ def _data(study: Study, redrawn: Redrawn) -> tuple[dict[str, Any], list[str]]:
         "shown": study.shown,
         "points": study.points,
         "axes": study.axes,
-        "targets": study.targets,
+        "targets": [study.goal(target) for target in study.targets],
         "error": study.error_name,
         "measures": comparison.measures(study),
         "bound": comparison.bound_of(study),
@@ -140,14 +140,16 @@ def _data(study: Study, redrawn: Redrawn) -> tuple[dict[str, Any], list[str]]:
     return data, notes
 
 
-def _first(chosen: dict[int, list[Any]]) -> Any:
-    """The scene with the smallest number at the first point: the draw that the page shows first."""
-    return min(next(iter(chosen.values())), default=0)
+def _first(chosen: dict[int, list[Any]]) -> tuple[int, Any]:
+    """The first point and its scene with the smallest number: the draw that the page shows first."""
+    point = next(iter(chosen))
+    return point, min(chosen[point], default=0)
 
 
 def _facts(study: Study) -> list[str]:
     runs = study.runs
-    count = [(runs["method"].nunique(), "method"), (len(study.points), "swept point"), (runs["scene"].nunique(), "scene")]
+    points = [(len(study.points), "swept point")] * bool(study.swept)
+    count = [(runs["method"].nunique(), "method"), *points, (runs["scene"].nunique(), "scene")]
     return [f"{n:,} {what}{'' if n == 1 else 's'}" for n, what in [*count, (len(runs), "run")]]
 
 
@@ -156,7 +158,7 @@ def _answer(study: Study) -> dict[str, Any]:
     block = study.block
     if block is None:
         return {"which": study.evidence.unranked, "sure": "", "fails": "", "best": ""}
-    which, sure = headline(block, study.evidence.ranking.frame.tail(len(block.methods)))
+    which, sure = headline(study.with_units(block), study.evidence.ranking.frame.tail(len(block.methods)))
     best = block.order[0] if block.order else None
     fails = "" if best is None else _fails(study, block.methods[best])
     return {"which": printable(which), "sure": printable(sure), "fails": printable(fails), "best": best is not None}
@@ -171,7 +173,7 @@ def _fails(study: Study, method: str) -> str:
         i = each.methods.index(method)
         total, target = total + len(each.scenes), each.target or target
         missed += [(label, scene) for scene in np.array(each.scenes)[each.hits[:, i] < each.runs[i]]]
-    goal = target or "an estimate"
+    goal = study.goal(target) or "an estimate"
     if not missed:
         return f"{method} misses {goal} in none of the {total} scenes of the study."
     single = len(study.points) == 1
@@ -193,12 +195,12 @@ def _verdicts(study: Study) -> list[tuple[str, str]]:
 def _failures(runs: pd.DataFrame) -> list[dict[str, Any]]:
     """Each status other than ok with its methods and messages, the most frequent first."""
     bad = runs[runs["status"] != Status.OK]
-    found = []
+    found: list[dict[str, Any]] = []
     for (status, method, message), group in bad.groupby(["status", "method", "message"], sort=False):
         scenes_ = ", ".join(map(str, sorted(group["scene"].unique())[:NAMED]))
-        row = {"status": status, "method": method, "message": message, "runs": len(group), "scenes": scenes_}
-        found.append({key: printable(value) if isinstance(value, str) else value for key, value in row.items()})
-    return sorted(found, key=lambda row: -row["runs"])[:MESSAGES]
+        texts = {"status": status, "method": method, "message": message, "scenes": scenes_}
+        found.append({**{key: printable(text) for key, text in texts.items()}, "runs": len(group)})
+    return sorted(found, key=lambda each: -each["runs"])[:MESSAGES]
 
 
 def _proofs(study: Study) -> list[str]:
@@ -224,7 +226,8 @@ def _array_facts(redrawn: Redrawn) -> list[tuple[str, str]]:
 def _number(value: Any) -> str:
     if value is None or value == "":
         return "–"
-    return number_text(float(value)).replace("inf", "∞")
+    size = abs(float(value))
+    return f"{float(f'{value:.3g}'):,.0f}" if 1e4 <= size < 1e7 else number_text(float(value)).replace("inf", "∞")
 
 
 def _percent(value: Any) -> str:
@@ -233,7 +236,7 @@ def _percent(value: Any) -> str:
 
 def _static(name: str) -> Markup:
     """A file of the package, which is trusted."""
-    return Markup((files("nfbench.report.html") / "static" / name).read_text(encoding="utf-8"))  # noqa: S704
+    return Markup((files("nfbench.report.html") / "static" / name).read_text(encoding="utf-8"))
 
 
 def _script_json(data: Any) -> Markup:
@@ -241,4 +244,4 @@ def _script_json(data: Any) -> Markup:
     text = json.dumps(data, ensure_ascii=True, allow_nan=False, separators=(",", ":"))
     for character in "<>&":
         text = text.replace(character, f"\\u{ord(character):04x}")
-    return Markup(text)  # noqa: S704
+    return Markup(text)

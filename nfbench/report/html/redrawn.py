@@ -27,7 +27,7 @@ LEVELS = 64  # shades of a landscape
 Places = tuple[ndarray, ndarray]
 
 
-class _Captured(Exception):  # noqa: N818  # it is no error
+class _Captured(Exception):  # it is no error
     """Ends a formulation at its first problem."""
 
     def __init__(self, problem: Problem) -> None:

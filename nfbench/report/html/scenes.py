@@ -48,16 +48,14 @@ def _outcomes(study: Study, each: Outcomes, most: int) -> dict[str, Any]:
         "error": [numbers(each.error[order, i], 3) for i in columns],
         "hits": [each.hits[order, i].tolist() for i in columns],
         "failed": [failed[order, i].tolist() if failed[:, i].any() else None for i in columns],
-        "target": each.target,
+        "target": study.goal(each.target),
     }
 
 
 def chosen_scenes(study: Study) -> Scenes:
     """The scenes of each point that can be opened, the hardest first: all, or as many as fit in the page."""
     most = max(SCENES // max(len(study.points), 1), 4)
-    return {
-        i: list(scene_table(each)["scene"][:most]) for i, each in enumerate(study.outcomes) if each is not None
-    }
+    return {i: list(scene_table(each)["scene"][:most]) for i, each in enumerate(study.outcomes) if each is not None}
 
 
 def traces(study: Study, found: Progress | None, scenes: Scenes) -> dict[int, dict[int, dict[int, Any]]]:
@@ -132,4 +130,3 @@ def _enter(found: dict[int, dict[int, Any]], study: Study, row: dict[Any, Any], 
 def _triples(positions: Iterable[Iterable[float]]) -> list[list[Any]]:
     """Positions as lists [m]; those that do not exist are left out."""
     return [numbers(place) for place in positions if not any(math.isnan(value) for value in place)]
-

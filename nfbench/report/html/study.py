@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, final
 
@@ -19,7 +19,7 @@ from nfbench.results import Evidence, Results
 __all__ = ["Study", "number", "numbers", "words"]
 
 SHOWN = 6  # methods that the figures show at first
-PER_FORMULATION = 2  # of these, at least the best one of so many further formulations
+BEST = 2  # of these, the best ones whatever their formulation; the best of each formulation comes next
 DIGITS = 4  # significant
 
 
@@ -123,8 +123,7 @@ class Study:
         firsts: dict[str, str] = {}
         for name in self.methods:
             firsts.setdefault(by[name], name)
-        others = list(firsts.values())[:PER_FORMULATION + 1]
-        chosen = list(dict.fromkeys([*self.methods[:SHOWN - PER_FORMULATION], *others, *self.methods]))[:SHOWN]
+        chosen = list(dict.fromkeys([*self.methods[:BEST], *firsts.values(), *self.methods]))[:SHOWN]
         return sorted(self.index[name] for name in chosen)
 
     @cached_property
@@ -141,6 +140,15 @@ class Study:
             pairs = outcomes(runs, self.evidence.hits.frame, self.error, self.swept)
             found = {tuple(swept.values()): each for swept, each in pairs}
         return [found.get(point) for point in self.settings]
+
+    def goal(self, target: str) -> str:
+        """The label of a target with the unit of an error in metres."""
+        plain = target.startswith("error") and "bound" not in target and self.error.endswith("_m")
+        return f"{target} m" if plain else target
+
+    def with_units(self, block: Block) -> Block:
+        """The block with the label of its target as ``goal`` has it."""
+        return replace(block, points=tuple(replace(each, target=self.goal(each.target)) for each in block.points))
 
     def place(self, row: dict[Any, Any]) -> int:
         """The point of a row of a table with the swept columns; -1 if it is of none."""

@@ -5,21 +5,28 @@ NF.css = (name) => getComputedStyle(document.documentElement).getPropertyValue(n
 
 NF.usable = (v, log) => Number.isFinite(v) && (!log || v > 0);
 
-// The ticks of a logarithmic axis that have a label: decades, or 1, 2 and 5 of each where there are few.
-NF.logTicks = (splits) => {
-  const inside = splits.filter((v) => v !== null);
-  const decades = inside.filter((v) => Math.abs(Math.log10(v) - Math.round(Math.log10(v))) < 1e-9);
-  if (decades.length >= 3) {
-    const step = Math.ceil(decades.length / 7);
-    return splits.map((v) => (decades.includes(v) && Math.round(Math.log10(v)) % step === 0 ? v : null));
+// The ticks of a logarithmic axis: powers of ten, with multiples of them where there are few, or even steps.
+NF.logSplits = (low, high) => {
+  const ratio = high / low, first = Math.floor(Math.log10(low)), last = Math.ceil(Math.log10(high));
+  if (ratio < 5) {
+    const raw = (high - low) / 4, unit = 10 ** Math.floor(Math.log10(raw)), step = unit * [1, 2, 5, 10].find((f) => f * unit >= raw);
+    const count = Math.floor(high / step) - Math.ceil(low / step) + 1;
+    return Array.from({ length: count }, (_, i) => Number(((Math.ceil(low / step) + i) * step).toPrecision(12)));
   }
-  const round = (v) => [1, 2, 5].some((f) => Math.abs(v / 10 ** Math.floor(Math.log10(v) + 1e-9) - f) < 1e-6);
-  return splits.map((v) => (v !== null && round(v) ? v : null));
+  const factors = ratio >= 1000 ? [1] : ratio >= 30 ? [1, 2, 5] : [1, 2, 3, 5, 7];
+  const every = ratio >= 1000 ? Math.ceil((last - first) / 8) : 1, found = [];
+  for (let k = first; k <= last; k++)
+    for (const f of k % every === 0 ? factors : []) {
+      const v = Number(`${f}e${k}`);
+      if (v >= low && v <= high) found.push(v);
+    }
+  return found;
 };
+
 NF.tick = (v) => {
   if (v === null) return "";
   const exponent = Math.round(Math.log10(Math.abs(v)));
-  if (v !== 0 && (Math.abs(v) < 1e-3 || Math.abs(v) >= 1e5) && Math.abs(Math.abs(v) / 10 ** exponent - 1) < 1e-9)
+  if (v !== 0 && (Math.abs(v) < 1e-3 || Math.abs(v) >= 1e6) && Math.abs(Math.abs(v) / 10 ** exponent - 1) < 1e-9)
     return (v < 0 ? "−" : "") + "10" + String(exponent).replace(/./g, (c) => "⁰¹²³⁴⁵⁶⁷⁸⁹"[c] ?? "⁻");
   return NF.text(v);
 };
@@ -75,11 +82,11 @@ NF.chart = (host, view) => {
     stroke: ink, font, labelFont: font, label: settings.label, labelSize: 22, labelGap: 2, gap: 4,
     grid: { stroke: grid, width: 1 }, ticks: { stroke: grid, width: 1 },
     size: which === "x" ? 32 : 58, space: which === "x" ? 56 : 34,
-    ...(settings.log ? { filter: (u, splits) => NF.logTicks(splits) } : {}),
+    ...(settings.log ? { splits: (u, i, low, high) => NF.logSplits(low, high) } : {}),
     ...(settings.texts ? { splits: () => settings.texts.map((_, i) => i), values: () => settings.texts } : { values: (u, splits) => splits.map(NF.tick) }),
   });
   const options = {
-    width, height, legend: { show: false }, padding: [10, 14, 0, 0],
+    width, height, legend: { show: false }, padding: [10, 26, 0, 0],
     cursor: { drag: { x: false, y: false }, points: { show: false }, x: false, y: false },
     scales: {
       x: { time: false, distr: view.x.log ? 3 : 1, range: spanX },
@@ -111,26 +118,27 @@ NF.overlay = (u, series, view, look) => {
   c.beginPath();
   c.rect(box.left - 6 * ratio, box.top - 6 * ratio, box.width + 12 * ratio, box.height + 12 * ratio);
   c.clip();
-  for (const one of series) {
+  for (const [s, one] of series.entries()) {
+    const dodge = view.rows ? 0 : (s - (series.length - 1) / 2) * 3 * ratio; // so that intervals do not hide each other
     const { colour, marker } = look(one);
     c.strokeStyle = c.fillStyle = colour;
     c.lineWidth = 1.3 * ratio;
     c.setLineDash([]);
     const sparse = one.dots || view.rows || one.x.length <= 30;
-    const every = sparse ? 1 : Math.ceil(one.x.length / 8);
+    const every = one.stepped ? Math.ceil(one.x.length / 8) : sparse ? 1 : Math.ceil(one.x.length / 8);
     one.x.forEach((x, i) => {
       const px = at(x, "x"), py = at(one.y[i], "y");
       if (one.low && sparse && NF.usable(one.low[i], false)) {
         const ends = [one.low[i], one.high[i]].map((v) => (view.rows ? at(v > 0 || !view.x.log ? v : 1e-300, "x") : at(v > 0 || !view.y.log ? v : 1e-300, "y")));
         if (!Number.isFinite(ends[1])) ends[1] = view.rows ? box.left + box.width + 20 * ratio : box.top - 20 * ratio;
         c.beginPath();
-        if (view.rows) { c.moveTo(ends[0], py); c.lineTo(ends[1], py); } else { c.moveTo(px, ends[0]); c.lineTo(px, ends[1]); }
+        if (view.rows) { c.moveTo(ends[0], py); c.lineTo(ends[1], py); } else { c.moveTo(px + dodge, ends[0]); c.lineTo(px + dodge, ends[1]); }
         c.stroke();
       }
       if (one.bare || i % every) return;
       const { path, hollow } = NF.mark(marker, px, py, (one.large ? 6.5 : 4) * ratio);
       c.lineWidth = 1.6 * ratio;
-      if (!hollow) c.fill(path);
+      if (!hollow && !one.open) c.fill(path);
       c.stroke(path);
     });
   }
@@ -138,6 +146,7 @@ NF.overlay = (u, series, view, look) => {
     c.fillStyle = NF.css("--ink");
     c.font = `${12 * ratio}px system-ui, sans-serif`;
     c.textBaseline = "bottom";
+    c.textAlign = "left";
     view.rows.forEach((name, i) => {
       let text = name;
       while (text.length > 4 && c.measureText(text).width > box.width - 8 * ratio) text = text.slice(0, -2) + "…";

@@ -3,7 +3,8 @@
 (() => {
   const d = NF.data, state = { measure: 0, point: 0, axis: 0, ert: 0, target: 0, cost: 0, cpoint: 0, which: 0, ppoint: 0, epoint: 0 };
   const costs = Object.keys(d.distributions), costNames = { evaluations: "evaluations", seconds: "seconds" };
-  const several = d.points.length > 1;
+  const several = d.points.length > 1, counts = d.axes.map((a) => new Set(a.texts).size);
+  state.axis = Math.max(counts.indexOf(Math.max(...counts)), 0);
   const pointSelect = (name, draw) => (several ? [NF.select("Swept point", d.points, state[name], (v) => { state[name] = v; draw(); })] : []);
   const pick = (values, places) => (values ? places.map((p) => NF.number(values[p])) : null);
 
@@ -30,10 +31,11 @@
     const positive = spots.every((v) => v > 0), log = Boolean(key.values) && positive && !/\[(dB|°)\]/.test(key.name) && Math.max(...spots) >= 20 * Math.min(...spots);
     const series = NF.visible().map((m) => ({ method: m, name: d.methods[m], x: spots, y: pick(measure.value[m], places),
       low: pick(measure.low?.[m], places), high: pick(measure.high?.[m], places) }));
-    if (measure.bounded && d.bound) series.push({ name: "Cramér–Rao bound", x: spots, y: pick(d.bound, places), bare: true });
+    const bound = measure.bounded && d.bound ? pick(d.bound, places) : [], known = bound.filter(Number.isFinite).length;
+    if (known) series.push({ name: "Cramér–Rao bound", x: spots, y: bound, bare: known > 1 });
     return { title: measure.name, series, x: { label: key.name, log, texts: key.values ? null : places.map((p) => key.texts[p]) },
       y: { label: measure.name, log: measure.log },
-      note: (measure.bounded && d.bound ? "The black dotted line is the Cramér–Rao bound, the root mean square over the scenes. " : "") +
+      note: (known ? `The dotted ${known > 1 ? "line" : "cross"} without a colour is the Cramér–Rao bound, the root mean square over the scenes. ` : "") +
         (d.axes.length > 1 ? `The other swept keys are those of the point ${d.points[point]}.` : "") };
   };
 
@@ -59,10 +61,15 @@
       NF.select("Cost", costs.map((c) => costNames[c]), state.cost, (v) => { state.cost = v; draw(); }), ...pointSelect("cpoint", draw),
     ], () => {
       const cost = costs[state.cost], curve = d.distributions[cost][state.target][state.cpoint];
-      const series = NF.visible().filter((m) => curve.y[m]).map((m) => ({
-        method: m, name: d.methods[m], x: curve.x.map((v) => Math.max(NF.number(v), cost === "seconds" ? 1e-6 : 0.5)), y: curve.y[m].map((v) => v / 10), stepped: true }));
+      const least = cost === "seconds" ? 1e-6 : 0.5, drawn = NF.visible().filter((m) => curve[m]);
+      const end = Math.max(...drawn.map((m) => curve[m][0].at(-1)));
+      const series = drawn.map((m) => {
+        const x = curve[m][0].map((v) => Math.max(NF.number(v), least)), y = curve[m][1].map((v) => v / 10);
+        if (x.at(-1) === least && end > least) { x.push(end); y.push(y.at(-1)); } // it costs nothing
+        return { method: m, name: d.methods[m], x, y, stepped: true };
+      });
       return { title: "Runtime distribution", series, x: { label: cost, log: true }, y: { label: `runs that reach ${d.targets[state.target]} [%]`, span: [-3, 103] },
-        note: "Higher and further left is better. All curves end at the smallest budget of the methods, or at the longest run. Methods without a solver make no evaluations; they are at the left end." };
+        note: "Higher and further left is better. Each curve ends at the budget of its method, or at its longest run. Methods without a solver make no evaluations, so their curve is flat." };
     });
 
   const kinds = Object.keys(d.progress), names = { error: `${d.error}`, gap: "gap to the reference optimum of the first problem" };
@@ -75,6 +82,6 @@
       const series = drawn.map((method) => ({ method, name: d.methods[method], x: x.map(NF.number),
         y: m[method][0].map(NF.number), low: m[method][1].map(NF.number), high: m[method][2].map(NF.number) }));
       return { title: "Error against budget", series, x: { label: "evaluations", log: true }, y: { label: `median ${names[kind]}`, log: true },
-        note: `The median over the scenes, with its 95 % interval. A point at the end alone means that the value on the way is not known.${missing.length ? ` Not embedded, or without ${kind}: ${missing.join(", ")}.` : ""}` };
+        note: `The median over the scenes, with its 95 % interval. A point at the end alone means that the value on the way is not known.${missing.length ? ` Without a curve here: ${missing.join(", ")}.` : ""}` };
     });
 })();

@@ -60,7 +60,7 @@
       NF.el("circle", { cx: px(one.best[0]), cy: py(one.best[1]), r: 7, fill: "none", stroke: "#000", "stroke-width": 4 }),
       NF.el("circle", { cx: px(one.best[0]), cy: py(one.best[1]), r: 7, fill: "none", stroke: "#fff", "stroke-width": 2 }),
       text(px(x0), h + 24, NF.text(x0), "start"), text(px(x1), h + 24, NF.text(x1), "end"), text(l + w / 2, h + 38, "unknown 1"),
-      text(l - 5, py(y0), NF.text(y0), "end"), text(l - 5, py(y1) + 10, NF.text(y1), "end"), text(l - 5, 8 + h / 2, "unkn. 2", "end"));
+      text(l - 5, py(y0), NF.text(y0), "end"), text(l - 5, py(y1) + 10, NF.text(y1), "end"), NF.el("text", { transform: `translate(14 ${8 + h / 2}) rotate(-90)`, "text-anchor": "middle", "font-size": 12, fill: "currentColor" }, "unknown 2"));
     const cut = one.unknowns > 2 ? ` It has ${one.unknowns} unknowns; the others are those of the best point.` : "";
     return NF.el("figure", { class: "landscape" }, svg, NF.el("figcaption", {}, `${one.formulation}, scene ${one.scene}, ${d.points.length > 1 ? d.points[one.point] + ", " : ""}first problem: the objective over two unknowns. Darker is smaller, by rank; the circle is the best point of any run.${cut}`));
   };
@@ -71,7 +71,7 @@
     const [i, j] = [0, 1, 2].sort((a, b) => spread[b] - spread[a]).slice(0, 2).sort(), names = "xyz", series = [];
     const put = (name, points, more) => { if (points.length) series.push({ name, x: points.map((p) => p[i]), y: points.map((p) => p[j]), dots: true, ...more }); };
     const all2 = NF.chart(target, { series: (put("other scenes", cloud, { marker: "ring", faint: true }), put("array", d.elements ?? [[0, 0, 0]], { marker: "box" }),
-      put("true position", place.truth, { marker: "star", large: true }), methods.forEach((m) => put(d.methods[m], place.found[m] ?? [], { method: m })), series),
+      put("true position", place.truth, { marker: "star", large: true }), methods.forEach((m) => put(d.methods[m], place.found[m] ?? [], { method: m, open: true })), series),
     x: { label: `${names[i]} [m]` }, y: { label: `${names[j]} [m]` }, equal: true, title: "Positions", height: 380 });
     return all2;
   };
@@ -117,7 +117,7 @@
     NF.onchange(() => positions(draw, { truth: first[number].truth, found: {} }, [], cloud));
     document.getElementById("scene-words").textContent = `Scene ${number}${d.points.length > 1 ? ` at ${d.points[0]}` : ""}: stars are its sources, rings those of the other scenes, boxes the elements of the array.`;
   } else if (draw) draw.append(NF.el("p", { class: "empty" }, document.body.dataset.reason || "This scenario has no positions to show."));
-  const lands = document.getElementById("scene-landscapes"), smallest = Math.min(...d.landscapes.filter((o) => o.point === 0).map((o) => o.scene));
-  if (lands) lands.append(...d.landscapes.filter((one) => one.point === 0 && one.scene === smallest).map(picture));
+  const lands = document.getElementById("scene-landscapes"), begin = d.landscapes[0];
+  if (lands) lands.append(...d.landscapes.filter((one) => one.point === begin.point && one.scene === begin.scene).slice(0, 2).map(picture));
   NF.onchange(() => { map(); show(); });
 })();

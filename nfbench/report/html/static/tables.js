@@ -40,7 +40,7 @@
   const cell = (text, sort, attributes = {}) => NF.el("td", { "data-value": Number.isFinite(sort) ? sort : sort === Infinity ? 1e308 : "", ...attributes }, text);
   const line = (row) => NF.el("tr", { class: row.best ? "best" : null },
     NF.el("th", { scope: "row" }, row.best ? "● " : "", NF.data.methods[row.method]),
-    cell(NF.percent(row.solved_share), NF.number(row.solved_share)), cell(NF.range(row.solved_low, row.solved_high, NF.percent), NF.number(row.solved_low)),
+    cell(NF.percent(row.solved_share), NF.number(row.solved_share)), cell(NF.range(row.solved_low, row.solved_high, (v) => String(Math.round(100 * v))) + (row.solved_low === null ? "" : " %"), NF.number(row.solved_low)),
     cell(NF.text(row.error_ratio), NF.number(row.error_ratio)), cell(NF.range(row.ratio_low, row.ratio_high), NF.number(row.ratio_low)),
     cell(NF.text(row.ert), NF.number(row.ert)), cell(NF.text(row.seconds), NF.number(row.seconds)),
     cell(NF.text(row.median), NF.number(row.median)), cell(NF.text(row.rms), NF.number(row.rms)),
@@ -48,6 +48,13 @@
 
   const methods = document.getElementById("methods-table");
   if (methods) methods.tBodies[0].replaceChildren(...NF.data.tables[0].rows.map(line));
+  const tidy = (table) => { // hide the columns without values
+    [...table.tHead.rows[0].cells].forEach((head, i) => {
+      const cells = [...table.tBodies[0].rows].map((row) => row.cells[i]), empty = cells.every((each) => ["–", ""].includes(each.textContent));
+      [head, ...cells].forEach((each) => { each.hidden = empty; });
+    });
+  };
+  if (methods) tidy(methods);
   document.querySelectorAll("table.sortable").forEach(sortable);
   document.querySelectorAll("table.filterable").forEach((table) => {
     const bar = filterable(table);
@@ -56,6 +63,7 @@
     bar.prepend(NF.select("Swept point", names, 0, (i) => {
       table.tBodies[0].replaceChildren(...NF.data.tables[i].rows.map(line));
       table.querySelectorAll("thead th").forEach((each) => each.removeAttribute("aria-sort"));
+      tidy(table);
       table.refilter();
     }));
   });
