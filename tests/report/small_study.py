@@ -41,28 +41,34 @@ compare = { better = "neef + de", worse = "neef + random-search" }
 """
 
 
+LOADING = ("src", "href", "xlink:href", "action", "srcset", "data", "poster", "formaction")  # attributes
+
+
 class Page(HTMLParser):
     """The elements of a page, and the text of its scripts and other elements."""
 
     def __init__(self, text):
         super().__init__()
-        self.tags, self.scripts, self.words, self.references, self._open = [], [], [], [], ""
+        self.tags, self.scripts, self.words, self.references, self.styles, self._open = [], [], [], [], [], ""
         self.feed(text)
         self.close()
         self.text = " ".join(" ".join(self.words).split())
-        self.data = json.loads(self.scripts[0])
+        self.data = json.loads(self.scripts[0]) if self.scripts else None
 
     def handle_starttag(self, tag, attrs):
         self.tags.append(tag)
         self._open = tag
         if tag == "script":
             self.scripts.append("")
-        self.references += [(name, value) for name, value in attrs if name in ("src", "href", "action", "srcset")]
+        self.references += [(name, value) for name, value in attrs if name in LOADING]
+        self.styles += [value for name, value in attrs if name == "style"]
 
     def handle_data(self, data):
         if self._open == "script":
             self.scripts[-1] += data
-        elif self._open != "style":
+        elif self._open == "style":
+            self.styles.append(data)
+        else:
             self.words.append(data)
 
     def handle_endtag(self, tag):
@@ -78,5 +84,8 @@ def run_in(folder):
 
 def external(text):
     """What a page would load from elsewhere: addresses in attributes and in styles."""
-    found = re.findall(r"""(?:src|href|srcset|action|data|poster)\s*=\s*["']?\s*((?:https?:)?//[^"'\s>]+)""", text)
-    return found + re.findall(r"""(?:url\(|@import)\s*["']?\s*((?:https?:)?//[^)"']+)""", text)
+    page = Page(text)
+    addresses = [value for _, value in page.references]
+    for style in page.styles:
+        addresses += re.findall(r"""(?:url\(|@import)\s*["']?\s*([^"')\s]+)""", style)
+    return [address for address in addresses if re.match(r"\s*(?:[a-z]+:)?//", address or "", re.IGNORECASE)]
