@@ -58,7 +58,7 @@ def _measure(study: Study, column: str, name: str, table: pd.DataFrame, factor: 
         if (place := study.place(row)) >= 0:
             for side in arrays:
                 arrays[side][study.index[row["method"]], place] = factor * row[sides[side]]
-    found: dict[str, Any] = {"name": name, "log": factor == 1.0, "bounded": name.startswith(("RMSE", "Median error ["))}
+    found: dict[str, Any] = {"name": name, "log": factor == 1.0, "bounded": name == "RMSE [m]"}
     found |= {
         side: [numbers(row) for row in array]
         for side, array in arrays.items()

@@ -82,7 +82,7 @@ NF.chart = (host, view) => {
     stroke: ink, font, labelFont: font, label: settings.label, labelSize: 22, labelGap: 2, gap: 4,
     grid: { stroke: grid, width: 1 }, ticks: { stroke: grid, width: 1 },
     size: which === "x" ? 32 : 58, space: which === "x" ? 56 : 34,
-    ...(settings.log ? { splits: (u, i, low, high) => NF.logSplits(low, high) } : {}),
+    ...(settings.log ? { splits: (u, i, low, high) => NF.logSplits(low, high), filter: (u, splits) => splits } : {}),
     ...(settings.texts ? { splits: () => settings.texts.map((_, i) => i), values: () => settings.texts } : { values: (u, splits) => splits.map(NF.tick) }),
   });
   const options = {

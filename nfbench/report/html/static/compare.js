@@ -36,7 +36,7 @@
     return { title: measure.name, series, x: { label: key.name, log, texts: key.values ? null : places.map((p) => key.texts[p]) },
       y: { label: measure.name, log: measure.log },
       note: (known ? `The dotted ${known > 1 ? "line" : "cross"} without a colour is the Cramér–Rao bound, the root mean square over the scenes. ` : "") +
-        (d.axes.length > 1 ? `The other swept keys are those of the point ${d.points[point]}.` : "") };
+        (d.axes.length > 1 ? `Here ${d.axes.filter((_, k) => k !== axis).map((a) => `${a.name} is ${a.texts[point]}`).join(" and ")}.` : "") };
   };
 
   NF.picker(document.getElementById("picker"));
@@ -66,6 +66,7 @@
       const series = drawn.map((m) => {
         const x = curve[m][0].map((v) => Math.max(NF.number(v), least)), y = curve[m][1].map((v) => v / 10);
         if (x.at(-1) === least && end > least) { x.push(end); y.push(y.at(-1)); } // it costs nothing
+        if (y[0] > 0) { x.unshift(x[0] * 0.9999); y.unshift(0); }
         return { method: m, name: d.methods[m], x, y, stepped: true };
       });
       return { title: "Runtime distribution", series, x: { label: cost, log: true }, y: { label: `runs that reach ${d.targets[state.target]} [%]`, span: [-3, 103] },
