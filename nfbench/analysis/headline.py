@@ -36,18 +36,31 @@ def headline(block: Block, rows: pd.DataFrame) -> tuple[str, str]:
     which = f"Use {block.methods[first]}: it {record}{f' and needs {cost}' if cost else ''}."
     if k == 1:
         return f"{_record(block, rows, first)}.", f"It is the only method, so nothing is compared; {_scenes(n)}."
-    beaten = k - 1 - len(rest)
+    parts = []
     if rest:
-        others = f"On {_scenes(n)} {names([block.methods[i] for i in rest])} cannot be distinguished from it"
-        more = f"; the other {beaten} methods are" if beaten > 1 else "; the other method is"
-        sure = f"{others}{more if beaten else ''}"
-        sure += " significantly less reliable, less accurate or more expensive." if beaten else "."
-    else:
-        what = f"each of the other {beaten} methods" if beaten > 1 else "the other method"
-        sure = f"On {_scenes(n)} {what} is significantly less reliable, less accurate or more expensive."
-    if beaten:
-        sure = f"{sure[:-1]} (the risk of any wrong exclusion is at most 5 %)."
-    return which, sure
+        parts.append(f"{names([block.methods[i] for i in rest])} cannot be distinguished from it")
+    if len(rest) < k - 1:
+        parts.append(f"{_beaten(block)} (the risk of any wrong exclusion is at most 5 %)")
+    return which, f"On {_scenes(n)} {'; '.join(parts)}."
+
+
+WORSE = {"reliability": "less reliable", "error": "less accurate", "cost": "more expensive"}  # by stage
+
+
+def _beaten(block: Block) -> str:
+    """How many methods each stage of the ranking has excluded: "of the other 9 methods 5 are significantly less …"."""
+    inside, lost = np.ones(len(block.methods), dtype=bool), []
+    for stage in block.stages:
+        lost.append((int(np.sum(inside & ~stage.best.inside)), WORSE[stage.name]))
+        inside = stage.best.inside
+    lost = [(count, how) for count, how in lost if count]
+    total = sum(count for count, _ in lost)
+    if len(lost) == 1:
+        which = "the other method is" if total == 1 else f"the other {total} methods are"
+        return f"{which} significantly {lost[0][1]}"
+    (count, how), *more = lost
+    first = f"of the other {total} methods {count} {'is' if count == 1 else 'are'} significantly {how}"
+    return names([first, *(f"{count} {how}" for count, how in more)])
 
 
 def _record(block: Block, rows: pd.DataFrame, i: int) -> str:

@@ -32,8 +32,20 @@ def test_one_method_that_beats_the_others_is_recommended():
         "100 evaluations per hit."
     )
     assert sure == (
-        "On 40 scenes each of the other 2 methods is significantly less reliable, less accurate or more expensive "
-        "(the risk of any wrong exclusion is at most 5 %)."
+        "On 40 scenes the other 2 methods are significantly less reliable (the risk of any wrong exclusion is at most "
+        "5 %)."
+    )
+
+
+def test_the_methods_that_each_stage_excludes_are_counted():
+    hits = np.ones((40, 5), dtype=int)
+    hits[:, [3, 4]] = 0
+    error = np.tile([1.0, 1.0, 5.0, 50.0, 50.0], (40, 1))
+    cost = np.tile([100.0, 300.0, 100.0, 100.0, 100.0], (40, 1))
+    which, sure = said(outcomes(hits, error, cost))
+    assert which.startswith("Use method 0: it reached")
+    assert sure.startswith(
+        "On 40 scenes of the other 4 methods 2 are significantly less reliable, 1 less accurate and 1 more expensive ("
     )
 
 

@@ -161,7 +161,8 @@ class Study:
     @property
     def error_name(self) -> str:
         """The error measure with its unit."""
-        return "error [m]" if self.error == "rmse_m" else words(name_of(self.error))
+        name = words(name_of(self.error))
+        return "error [m]" if self.error == "rmse_m" else name[:1].lower() + name[1:]
 
 
 def _last(value: float) -> float:
