@@ -117,7 +117,7 @@ def test_the_columns_of_the_fit_are_the_channel_or_the_noise_free_snapshots():
 def test_line_of_sight_has_bounds_and_a_planar_wavefront_has_none():
     sight = draw(rician_k=math.inf)
     bounds = sight.bounds()
-    assert list(bounds) == ["crb_m", "crb_deterministic_m", "crb_1_m", "crb_2_m", "crb_3_m"]
+    assert list(bounds)[:5] == ["crb_m", "crb_deterministic_m", "crb_1_m", "crb_2_m", "crb_3_m"]
     per_source = [bounds[f"crb_{k}_m"] for k in (1, 2, 3)]
     assert bounds["crb_m"] == pytest.approx(math.sqrt(np.mean(np.square(per_source))), rel=1e-12)
     assert bounds["crb_deterministic_m"] == pytest.approx(bounds["crb_m"], rel=0.2)
