@@ -16,6 +16,7 @@ from .distributions import (
     runtime_distribution,
     value_at,
 )
+from .headline import headline, scene_table
 from .intervals import (
     bounded_mean_interval,
     ecdf_band,
@@ -65,6 +66,7 @@ __all__ = [
     "first_reached",
     "fixed_budget_table",
     "fixed_target_table",
+    "headline",
     "holm",
     "judge_claims",
     "log_ratios",
@@ -79,6 +81,7 @@ __all__ = [
     "reached_for_good",
     "rms_of_solved_interval",
     "runtime_distribution",
+    "scene_table",
     "sentence",
     "sentences",
     "share_interval",

@@ -14,7 +14,7 @@ from .intervals import ratio_interval
 from .ranking import ALL, SHARES, Block, Ranking, typical_seconds
 from .sign_flips import hit_scores, log_ratios
 
-__all__ = ["names", "sentence", "sentences"]
+__all__ = ["cost_text", "names", "sentence", "sentences"]
 
 MOST = 6  # labels that a list names before it counts the rest
 TRADES = 2  # trade-offs that a verdict names
@@ -105,11 +105,18 @@ def _recommended(block: Block) -> str:
     others = f"; not distinguishable from it: {names([block.methods[i] for i in rest])}" if rest else ""
     if math.isinf(cost):
         return f"No method of the best set has a known cost to hit the target; first by mean rank: {method}{others}."
-    per_hit = f"{cost:,.0f} evaluations per hit" if cost >= 10 else f"{cost:.3g} evaluations per hit"
-    if cost == 0:  # a method without a solver
-        per_hit = f"{typical_seconds(block.points, first):.3g} s to a hit"
     how = "the cheapest of them" if rest or len(_members(block, "reliability")) > 1 else "alone in the best set"
-    return f"Recommended: {method}, {how} ({per_hit}){others}."
+    return f"Recommended: {method}, {how} ({cost_text(block, first)}){others}."
+
+
+def cost_text(block: Block, i: int) -> str:
+    """Return what a hit of a method costs, in words; empty if that is not known."""
+    cost = float(block.ert[i])
+    if not math.isfinite(cost):
+        return ""
+    if cost == 0:  # a method without a solver
+        return f"{typical_seconds(block.points, i):.3g} s to a hit"
+    return f"{cost:,.0f} evaluations per hit" if cost >= 10 else f"{cost:.3g} evaluations per hit"
 
 
 def _measure(block: Block) -> str:

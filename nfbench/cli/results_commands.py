@@ -140,13 +140,31 @@ def compare(
 
 
 @app.command()
-def report(folder: Folder) -> None:
-    """Print the tables and verdicts of a study. The exit code is 1 if a run contradicts a proven optimum."""
+def report(
+    folder: Folder,
+    html: Annotated[
+        bool, typer.Option("--html", help="Write one HTML file with tables and interactive figures instead.")
+    ] = False,
+    out: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="File for --html (default: report.html in DIR).")
+    ] = None,
+) -> None:
+    """Print the tables and verdicts of a study, or write them as a page that opens offline in a browser.
+
+    The exit code is 1 if a run contradicts a proven optimum.
+    """
     from nfbench.report import print_report
     from nfbench.results import Results
 
+    if out is not None and not html:
+        raise typer.BadParameter("it needs --html", param_hint="--out")
     with _explained(folder):
-        print_report(Results(folder), output())
+        if html:
+            from nfbench.report import write_html  # it imports matplotlib
+
+            say(write_html(Results(folder), out))
+        else:
+            print_report(Results(folder), output())
         wrong = len(Results(folder).contradictions())
     raise typer.Exit(NOT_ALL_OK if wrong else OK)
 

@@ -26,6 +26,7 @@ from .distribution import distribution_figure
 from .drawing import KINDS, Drawing, Kind, NotDrawnError
 from .error import error_figures
 from .expected_cost import ert_figure
+from .labels import name_of, setting, text_of
 from .localization import localization_figure, write_localization_figure
 from .positions import few_enough, position_figures
 from .ranks import ranks_figure
@@ -40,7 +41,10 @@ __all__ = [
     "Kind",
     "figures",
     "localization_figure",
+    "name_of",
+    "setting",
     "styled",
+    "text_of",
     "write_array_figure",
     "write_figures",
     "write_localization_figure",

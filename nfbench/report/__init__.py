@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING, Any
+
 from .localization import localization_csv, localization_json, print_localization
 from .terminal import number_text, print_comparison, print_report, shown, summary_table
 
+if TYPE_CHECKING:
+    from .html import html_report, write_html
+
 __all__ = [
+    "html_report",
     "localization_csv",
     "localization_json",
     "number_text",
@@ -14,4 +20,14 @@ __all__ = [
     "print_report",
     "shown",
     "summary_table",
+    "write_html",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    """Import what needs matplotlib and Jinja2 on first use: the terminal's report needs neither."""
+    if name in ("html_report", "write_html"):
+        from . import html
+
+        return getattr(html, name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from .export_as_parquet import export_parquet
     from .hits import Hits, Progress, find_hits, find_progress, targets_of
     from .merging import merge, missing_shards
+    from .redrawing import Redrawing
     from .references import label_of
 
 __all__ = [
@@ -26,6 +27,7 @@ __all__ = [
     "Evidence",
     "Hits",
     "Progress",
+    "Redrawing",
     "Results",
     "Store",
     "cell",
@@ -60,6 +62,7 @@ _MODULES = {
     "export_csv": "export_as_csv",
     "export_ioh": "export_as_ioh",
     "export_parquet": "export_as_parquet",
+    "Redrawing": "redrawing",
     "label_of": "references",
     "merge": "merging",
     "missing_shards": "merging",

@@ -51,6 +51,14 @@ class Redrawing:
                 self._instances.popitem(last=False)
         return self._instances[key]
 
+    def scenario(self, swept: dict[str, Any]) -> Scenario | None:
+        """The scenario at this point of the sweep; None if it is not available."""
+        return self._scenarios[0].get(_key(swept))
+
+    def formulation(self, label: str) -> Formulation | None:
+        """The formulation with this label; None if it is not available."""
+        return self._formulations[0].get(label)
+
     def errors(
         self, measure: str, instance: Instance | None, formulation: str, trace: Trace, final: float
     ) -> tuple[ndarray | None, str]:

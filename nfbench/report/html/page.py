@@ -1,0 +1,247 @@
+"""The page: collects what it shows, renders the template, and writes the file."""
+
+from __future__ import annotations
+
+import json
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import jinja2
+import numpy as np
+import pandas as pd
+from markupsafe import Markup
+
+from nfbench.analysis import headline, sentences
+from nfbench.core import NfbenchError, Status, printable
+from nfbench.results import Results, write_whole
+
+from ..terminal import number_text
+from . import comparison, provenance, scenes
+from .redrawn import Redrawn
+from .study import Study, numbers
+
+__all__ = ["html_report", "write_html"]
+
+SCRIPTS = ("uPlot.iife.min.js", "base.js", "charts.js", "compare.js", "scenes.js", "tables.js")
+STYLES = ("uPlot.min.css", "report.css")
+MESSAGES = 200  # kinds of failures that are listed
+NAMED = 12  # scenes that a sentence lists
+
+
+def write_html(results: Results, out: Path | None = None) -> Path:
+    """Write the report of a study as one HTML file without any reference to other files or hosts; return its path.
+
+    results: the folder. out: the file; None for ``report.html`` in the folder.
+
+    Raises StoreError if the folder holds no results or the file cannot be written, and NfbenchError if no run has
+    finished yet.
+    """
+    path = results.folder / "report.html" if out is None else Path(out)
+    text = html_report(results)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_whole(path, lambda draft: draft.write_text(text, encoding="utf-8"))
+    return path
+
+
+def html_report(results: Results) -> str:
+    """Return the report of a study as HTML; see ``write_html``."""
+    evidence = results.evidence()
+    if evidence.runs.empty:
+        raise NfbenchError(f"{results.folder}: nothing to report: no run has finished yet")
+    study = Study(results, evidence)
+    with np.errstate(all="ignore"):  # numbers may be infinite
+        context = _context(study, Redrawn(study))
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("nfbench.report.html"),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters |= {"number": _number, "percent": _percent, "printable": printable}
+    return environment.get_template("report.html.j2").render(context)
+
+
+def _context(study: Study, redrawn: Redrawn) -> dict[str, Any]:
+    data, notes = _data(study, redrawn)
+    tables = comparison.rank_rows(study)
+    data["tables"] = tables
+    meta, runs = study.meta, study.runs
+    left = study.results.counts.get("open", 0)
+    return {
+        "title": printable(meta["title"] or meta["name"]),
+        "name": printable(meta["name"]),
+        "expect": printable(meta["expect"]),
+        "facts": _facts(study),
+        "left": left,
+        "done": len(runs),
+        "answer": _answer(study),
+        "verdicts": _verdicts(study),
+        "table": tables[0] if tables else None,
+        "methods": [printable(name) for name in study.methods],
+        "points": study.points,
+        "claims": study.evidence.claims().to_dict("records"),
+        "failures": _failures(runs),
+        "proofs": _proofs(study),
+        "scenario": provenance.scenario_rows(study.results.folder),
+        "array": _array_facts(redrawn),
+        "reason": redrawn.reason,
+        "origin": provenance.origin(study.results.folder, meta["name"]),
+        "notes": [printable(note) for note in [*study.evidence.hits.notes, *notes]],
+        "data": _script_json(data),
+        "scripts": [_static(name) for name in SCRIPTS],
+        "styles": [_static(name) for name in STYLES],
+    }
+
+
+def _data(study: Study, redrawn: Redrawn) -> tuple[dict[str, Any], list[str]]:
+    """What the scripts read, and sentences about what is left out."""
+    notes = []
+    chosen = scenes.chosen_scenes(study)
+    found = {measure: comparison.progress(study, measure) for measure in ("error", "gap")}
+    best = comparison.budgets(study)
+    if len(best) < len(study.methods):
+        notes.append(f"Error against budget is shown for {len(best)} of {len(study.methods)} methods, the best ones.")
+    if len(study.shown) < len(study.methods):
+        notes.append(
+            f"Positions and traces of single scenes are shown for {len(study.shown)} of {len(study.methods)} methods."
+        )
+    total = sum(len(each.scenes) for each in study.outcomes if each is not None)
+    if (kept := sum(map(len, chosen.values()))) < total:
+        notes.append(f"Positions and traces are shown for {kept} of {total} scenes, the hardest of each point.")
+    by = study.runs.drop_duplicates("method").set_index("method")["formulation"].to_dict()
+    formulations = list(dict.fromkeys(by[study.methods[i]] for i in study.shown))
+    hardest = [(point, each[i]) for i in range(3) for point, each in chosen.items() if i < len(each)]
+    try:
+        landscapes = redrawn.landscapes(list(dict.fromkeys([_first(chosen), *hardest])) if chosen else [], formulations)
+    except NfbenchError as reason:
+        landscapes = []
+        notes.append(f"Landscapes are missing: {reason}")
+    survey = redrawn.array
+    data = {
+        "methods": [printable(name) for name in study.methods],
+        "formulations": [printable(by[name]) for name in study.methods],
+        "shown": study.shown,
+        "points": study.points,
+        "axes": study.axes,
+        "targets": [study.goal(target) for target in study.targets],
+        "error": study.error_name,
+        "measures": comparison.measures(study),
+        "bound": comparison.bound_of(study),
+        "distributions": comparison.distributions(study),
+        "progress": {name: comparison.after_budget(study, each) for name, each in found.items() if each is not None},
+        "scenes": scenes.outcome_tables(study),
+        "places": scenes.places(study, redrawn, chosen),
+        "traces": {name: scenes.traces(study, each, chosen) for name, each in found.items()},
+        "landscapes": [{**each, "formulation": printable(each["formulation"])} for each in landscapes],
+        "elements": None if survey is None else [numbers(element) for element in survey.elements[:2000]],
+    }
+    return data, notes
+
+
+def _first(chosen: dict[int, list[Any]]) -> tuple[int, Any]:
+    """The first point and its scene with the smallest number: the draw that the page shows first."""
+    point = next(iter(chosen))
+    return point, min(chosen[point], default=0)
+
+
+def _facts(study: Study) -> list[str]:
+    runs = study.runs
+    points = [(len(study.points), "swept point")] * bool(study.swept)
+    count = [(runs["method"].nunique(), "method"), *points, (runs["scene"].nunique(), "scene")]
+    return [f"{n:,} {what}{'' if n == 1 else 's'}" for n, what in [*count, (len(runs), "run")]]
+
+
+def _answer(study: Study) -> dict[str, Any]:
+    """The verdict in two sentences, and where the recommended method fails."""
+    block = study.block
+    if block is None:
+        return {"which": study.evidence.unranked, "sure": "", "fails": "", "best": ""}
+    which, sure = headline(study.with_units(block), study.evidence.ranking.frame.tail(len(block.methods)))
+    best = block.order[0] if block.order else None
+    fails = "" if best is None else _fails(study, block.methods[best])
+    return {"which": printable(which), "sure": printable(sure), "fails": printable(fails), "best": best is not None}
+
+
+def _fails(study: Study, method: str) -> str:
+    """The scenes that a method does not solve, in words."""
+    missed, total, target = [], 0, ""
+    for label, each in zip(study.points, study.outcomes, strict=True):
+        if each is None or method not in each.methods:
+            continue
+        i = each.methods.index(method)
+        total, target = total + len(each.scenes), each.target or target
+        missed += [(label, scene) for scene in np.array(each.scenes)[each.hits[:, i] < each.runs[i]]]
+    goal = study.goal(target) or "an estimate"
+    if not missed:
+        return f"{method} misses {goal} in none of the {total} scenes of the study."
+    single = len(study.points) == 1
+    listed = ", ".join(f"{scene}" if single else f"{scene} ({label})" for label, scene in missed[:NAMED])
+    more = f" and {len(missed) - NAMED} more" if len(missed) > NAMED else ""
+    return f"{method} misses {goal} in {len(missed)} of {total} scenes: {listed}{more}."
+
+
+def _verdicts(study: Study) -> list[tuple[str, str]]:
+    """The full verdict on each block of the ranking, that over all points first."""
+    ranking = study.evidence.ranking
+    found = []
+    for block, text in zip(ranking.blocks, sentences(ranking), strict=True):
+        place = study.place(block.swept) if len(block.points) == 1 else -1
+        found.append((place, "All points together" if place < 0 else study.points[place], printable(text)))
+    return [(label, text) for _, label, text in sorted(found, key=lambda each: each[0])]
+
+
+def _failures(runs: pd.DataFrame) -> list[dict[str, Any]]:
+    """Each status other than ok with its methods and messages, the most frequent first."""
+    bad = runs[runs["status"] != Status.OK]
+    found: list[dict[str, Any]] = []
+    for (status, method, message), group in bad.groupby(["status", "method", "message"], sort=False):
+        scenes_ = ", ".join(map(str, sorted(group["scene"].unique())[:NAMED]))
+        texts = {"status": status, "method": method, "message": message, "scenes": scenes_}
+        found.append({**{key: printable(text) for key, text in texts.items()}, "runs": len(group)})
+    return sorted(found, key=lambda each: -each["runs"])[:MESSAGES]
+
+
+def _proofs(study: Study) -> list[str]:
+    references = study.evidence.references
+    if not len(references):
+        return []
+    wrong = study.evidence.contradictions
+    found = [f"{int(references['certified'].sum()) - len(wrong)} of {len(references)} optima are proven."]
+    return found + [
+        f"A certificate is wrong: {printable(row['contradicted_by'])} found a value below the certified optimum of "
+        f"scene {row['scene']}."
+        for row in wrong.head(NAMED).to_dict("records")
+    ]
+
+
+def _array_facts(redrawn: Redrawn) -> list[tuple[str, str]]:
+    survey = redrawn.array
+    if survey is None:
+        return []
+    return [("array", printable(survey.title)), *((printable(name), printable(text)) for name, text in survey.facts)]
+
+
+def _number(value: Any) -> str:
+    if value is None or value == "":
+        return "–"
+    size = abs(float(value))
+    return f"{float(f'{value:.3g}'):,.0f}" if 1e4 <= size < 1e7 else number_text(float(value)).replace("inf", "∞")
+
+
+def _percent(value: Any) -> str:
+    return "–" if value is None else f"{100 * float(value):.0f} %"
+
+
+def _static(name: str) -> Markup:
+    """A file of the package, which is trusted."""
+    return Markup((files("nfbench.report.html") / "static" / name).read_text(encoding="utf-8"))
+
+
+def _script_json(data: Any) -> Markup:
+    """JSON that is safe inside a script element, whatever text it contains."""
+    text = json.dumps(data, ensure_ascii=True, allow_nan=False, separators=(",", ":"))
+    for character in "<>&":
+        text = text.replace(character, f"\\u{ord(character):04x}")
+    return Markup(text)

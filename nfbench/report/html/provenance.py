@@ -1,0 +1,79 @@
+"""How a study was made: its manifest, the versions and hardware, and the command that repeats it."""
+
+from __future__ import annotations
+
+import json
+import shlex
+import tomllib
+from pathlib import Path
+from typing import Any
+
+from nfbench.core import printable
+
+__all__ = ["origin", "scenario_rows"]
+
+LONGEST = 200_000  # characters of a manifest that is shown
+
+
+def origin(folder: Path, name: str) -> dict[str, Any]:
+    """The manifest as text, the environment as rows, and the command that repeats the study."""
+    environment = _environment(folder)
+    git = environment.get("git") if isinstance(environment.get("git"), dict) else {}
+    commit = str((git or {}).get("commit") or "")
+    rows = [(key, environment[key]) for key in ("python", "platform", "cpu", "cores", "jobs", "started", "ended")
+            if environment.get(key) is not None]  # fmt: skip
+    if commit:
+        rows.append(("commit", commit + (" with local changes" if (git or {}).get("dirty") else "")))
+    earlier = environment.get("earlier")
+    if isinstance(earlier, list) and earlier:
+        rows.append(("earlier sessions", len(earlier)))
+    versions = environment.get("versions")
+    return {
+        "manifest": _shown(_text(folder / "manifest.toml")),
+        "rows": [(key, printable(value)) for key, value in rows],
+        "versions": [(printable(k), printable(v)) for k, v in versions.items()] if isinstance(versions, dict) else [],
+        "command": f"nfbench run manifest.toml --out {shlex.quote('results/' + printable(name))}",
+        "commit": printable(commit),
+    }
+
+
+def scenario_rows(folder: Path) -> list[tuple[str, str]]:
+    """The options of the scenario and what is swept, as the manifest has them."""
+    try:
+        table = tomllib.loads(_text(folder / "manifest.toml"))
+    except tomllib.TOMLDecodeError:
+        return []
+    scenario, sweep = table.get("scenario"), table.get("sweep")
+    rows = [(key, _value(value)) for key, value in scenario.items()] if isinstance(scenario, dict) else []
+    if isinstance(sweep, dict):
+        rows += [(f"swept: {key}", _value(value)) for key, value in sweep.items()]
+    return [(printable(key), printable(value, 400)) for key, value in rows]
+
+
+def _value(value: Any) -> str:
+    if isinstance(value, dict):
+        return ", ".join(f"{key} = {_value(each)}" for key, each in value.items())
+    if isinstance(value, list):
+        return ", ".join(map(_value, value))
+    return str(value)
+
+
+def _environment(folder: Path) -> dict[str, Any]:
+    try:
+        found = json.loads(_text(folder / "environment.json"))
+    except ValueError:
+        return {}
+    return found if isinstance(found, dict) else {}
+
+
+def _text(path: Path) -> str:
+    """The content of a file; empty if it cannot be read."""
+    try:
+        return path.read_text(encoding="utf-8", errors="replace") if path.is_file() else ""
+    except OSError:
+        return ""
+
+
+def _shown(text: str) -> str:
+    """Text of several lines without control characters."""
+    return "\n".join(printable(line) for line in text[:LONGEST].splitlines())

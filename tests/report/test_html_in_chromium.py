@@ -1,0 +1,101 @@
+"""In a real Chromium the page draws its figures without a message in the console, on a phone, and in dark and light."""
+
+import re
+import shutil
+import subprocess
+
+import numpy as np
+import pytest
+from PIL import Image
+from small_study import run_in
+
+from nfbench.report import html_report
+
+CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="Chromium is not installed")
+FIGURES = ["figure-measures", "figure-ert", "figure-distribution", "figure-progress", "scene-draw", "scene-detail"]
+DARK = "--blink-settings=preferredColorScheme=0"
+
+PROBE = """
+addEventListener("load", () => setTimeout(() => {
+  const inside = document.querySelector("iframe").contentDocument;
+  const find = (selector) => inside.querySelector(selector);
+  const say = (name, value) => document.body.setAttribute(`data-${name}`, value);
+  say("width", inside.documentElement.scrollWidth);
+  const before = find("#figure-measures canvas").toDataURL();
+  find("#figure-measures button.key").focus();
+  inside.activeElement.click();
+  say("pressed", inside.activeElement.getAttribute("aria-pressed"));
+  say("redrawn", find("#figure-measures canvas").toDataURL() !== before);
+  find("#figure-distribution .plot").dispatchEvent(new KeyboardEvent("keydown", { key: "ArrowRight" }));
+  say("read", find("#figure-distribution .readout").textContent);
+  find("#methods-table thead th:first-child button").click();
+  say("sorted", find("#methods-table tbody th").textContent);
+  find("#methods-table thead th:first-child button").click();
+  say("reversed", find("#methods-table tbody th").textContent);
+  find("#methods input[type=search]").value = "random";
+  find("#methods input[type=search]").dispatchEvent(new Event("input"));
+  say("filtered", [...inside.querySelectorAll("#methods-table tbody tr")].filter((row) => !row.hidden).length);
+  const named = [...inside.querySelectorAll("select, input")].every((each) => each.labels.length === 1);
+  say("named", named);
+}, 1500));
+"""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A folder with the page, and a frame of the width of a phone around it that reports on it."""
+    folder = tmp_path_factory.mktemp("page")
+    (folder / "page.html").write_text(html_report(run_in(folder)), encoding="utf-8")
+    frame = '<body style="margin:0"><iframe src="page.html" style="width:390px;height:6000px;border:0"></iframe>'
+    (folder / "frame.html").write_text(frame)
+    (folder / "phone.html").write_text(f"{frame}<script>{PROBE}</script>")
+    return folder
+
+
+def chromium(folder, name, *options):
+    """Open a file; returns what is printed, and the messages of the console."""
+    flags = ["--headless", "--no-sandbox", "--disable-gpu", "--enable-logging=stderr", "--hide-scrollbars"]
+    profile = [f"--user-data-dir={folder / 'profile'}", "--virtual-time-budget=8000", "--allow-file-access-from-files"]
+    command = [CHROMIUM, *flags, *profile, *options, (folder / name).as_uri()]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    return done.stdout, re.findall(r".*CONSOLE.*", done.stderr)
+
+
+def test_all_figures_are_drawn_without_a_message(folder):
+    document, messages = chromium(folder, "page.html", "--dump-dom", "--window-size=1280,2000")
+    assert messages == []
+    parts = {name: document.split(f'id="{name}"', 1)[1][:200_000] for name in FIGURES}
+    for name, part in parts.items():
+        assert "<canvas" in part.split("<section", 1)[0], name
+    assert 'href="data:image/png;base64,' in document
+    assert re.search(r'id="methods-table">.*?<tbody><tr.*?neef \+ de', document, re.DOTALL)
+
+
+def test_a_message_would_be_noticed(folder):
+    (folder / "broken.html").write_text("<script>missing()</script>")
+    assert "missing is not defined" in chromium(folder, "broken.html", "--dump-dom")[1][0]
+
+
+def test_a_phone_shows_all_without_scrolling_sideways_and_controls_work(folder):
+    document, messages = chromium(folder, "phone.html", "--dump-dom", "--window-size=800,6000")
+    assert messages == []
+    found = dict(re.findall(r'data-(\w+)="([^"]*)"', document))
+    assert int(found["width"]) <= 390
+    assert found["pressed"] == "false"  # the button that was pressed keeps the focus
+    assert found["redrawn"] == "true"
+    assert re.search(r"neef \+ .*: runs that reach error ≤ 3 bounds \[%\] \S+ at evaluations", found["read"])
+    assert found["sorted"].endswith("neef + de") and found["reversed"].endswith("neef + random-search")
+    assert (found["filtered"], found["named"]) == ("1", "true")
+
+
+@pytest.mark.parametrize("name, width", [("page.html", 1280), ("frame.html", 500)])
+def test_dark_and_light_pages_have_dark_and_light_pixels(folder, name, width):
+    means = []
+    for options in ([], [DARK]):
+        picture = folder / "shot.png"
+        chromium(folder, name, f"--screenshot={picture}", f"--window-size={width},3000", *options)
+        pixels = np.asarray(Image.open(picture).convert("L"), dtype=float)[:, : min(width, 390)]
+        assert pixels.std() > 10  # there is text and there are figures
+        means.append(pixels.mean())
+    assert means[0] > 170 and means[1] < 90
