@@ -13,6 +13,8 @@ import pandas as pd
 from jaxtyping import Bool, Float
 from numpy import ndarray
 
+from nfbench.core import OptionError
+
 from .targets import swept_columns
 
 __all__ = ["Cell", "Points", "Request", "Setting", "cells_of", "combined", "settings_of", "within"]
@@ -32,7 +34,7 @@ class Request:
     user can make at the same time. confidence: with which all statements hold together. timed: whether cost means time
     even if nothing else of the request is about time.
 
-    Raises ValueError, which names the argument, for impossible values.
+    Raises OptionError, a ValueError, for impossible values.
     """
 
     evaluations: float | None = None
@@ -47,14 +49,14 @@ class Request:
         for name in ("evaluations", "seconds", "evaluation_cost_s"):
             value = getattr(self, name)
             if value is not None and not (value >= 0 if name == "evaluation_cost_s" else value > 0):
-                raise ValueError(f"{name}: expected a number above 0, got {value}")
+                raise OptionError("choose", [(name, f"expected a number above 0, got {value}")])
             if value is not None and not math.isfinite(value):
-                raise ValueError(f"{name}: expected a finite number, got {value}")
+                raise OptionError("choose", [(name, f"expected a finite number, got {value}")])
         for name in ("reliability", "confidence"):
             if not 0 < getattr(self, name) < 1:
-                raise ValueError(f"{name}: expected a number between 0 and 1, got {getattr(self, name)}")
+                raise OptionError("choose", [(name, f"expected a number between 0 and 1, got {getattr(self, name)}")])
         if self.parallel < 1 or self.parallel != int(self.parallel):
-            raise ValueError(f"parallel: expected a whole number of at least 1, got {self.parallel}")
+            raise OptionError("choose", [("parallel", f"expected a whole number of at least 1, got {self.parallel}")])
 
     @property
     def in_seconds(self) -> bool:

@@ -8,8 +8,6 @@ from typing import Annotated, Any
 
 import typer
 
-from nfbench.core import printable
-
 from .common import NOT_ALL_OK, OK, Folder, app, explained, output
 
 At = Annotated[
@@ -46,21 +44,19 @@ def choose(
     from nfbench.report import print_choice
     from nfbench.results import choose as choose_method
 
+    swept = dict(_swept(text) for text in at or ())
     with explained(folder):
-        try:
-            found = choose_method(
-                folder,
-                target=target,
-                evaluations=evaluations,
-                time_ms=time_ms,
-                evaluation_cost_us=evaluation_cost_us,
-                reliability=reliability,
-                parallel=parallel,
-                at=dict(_swept(text) for text in at or ()),
-                confidence=confidence,
-            )
-        except ValueError as error:
-            raise typer.BadParameter(printable(error)) from error
+        found = choose_method(
+            folder,
+            target=target,
+            evaluations=evaluations,
+            time_ms=time_ms,
+            evaluation_cost_us=evaluation_cost_us,
+            reliability=reliability,
+            parallel=parallel,
+            at=swept,
+            confidence=confidence,
+        )
         if as_json:
             typer.echo(json.dumps(found.to_dict(), indent=2))
         else:

@@ -12,7 +12,7 @@ import pandas as pd
 from numpy import ndarray
 
 from nfbench.analysis import Choice, Request, Target, answer, cells_of, parse_targets, same_value, swept_columns
-from nfbench.core import Status, suggest
+from nfbench.core import OptionError, Status, suggest
 from nfbench.study import swept_column
 
 from .hits import GRADIENT_COST, Hits, find_hits
@@ -49,7 +49,7 @@ def choose(
     at: swept values at which the request must be met, e.g. ``{"snr_db": 10}``; None for every swept point.
     confidence: with which all statements hold together.
 
-    Raises ValueError, which names the argument, for impossible values, an unknown target or an unknown swept value, and
+    Raises OptionError, a ValueError, for impossible values, an unknown target or an unknown swept value, and
     StoreError if the folder holds no results or they are damaged.
     """
     results = results if isinstance(results, Results) else Results(Path(results))
@@ -78,13 +78,13 @@ def choose(
 def target_named(target: str | Target | None, known: Sequence[Target]) -> Target:
     """Return the target with a label or in a text such as "error=0.1"; None for the first of the known ones.
 
-    Raises ValueError if there is none.
+    Raises OptionError if there is none.
     """
     if isinstance(target, Target):
         return target
     if target is None:
         if not known:
-            raise ValueError("target: the study has no targets; give one such as error=0.1")
+            raise OptionError("choose", [("target", "the study has no targets; give one such as error=0.1")])
         return known[0]
     for each in known:
         if target.strip() == each.label:
@@ -96,14 +96,12 @@ def target_named(target: str | Target | None, known: Sequence[Target]) -> Target
     if not sign or kind not in _KINDS:
         hint = suggest(target, [each.label for each in known])
         labels = ", ".join(repr(each.label) for each in known)
-        raise ValueError(
-            f"target: expected a target of the study ({labels}), or error=…, bounds=… or gap=… with a number, "
-            f"got {target!r}{hint}"
-        )
+        expected = f"expected a target of the study ({labels}), or error=…, bounds=… or gap=… with a number"
+        raise OptionError("choose", [("target", f"{expected}, got {target!r}{hint}")])
     try:
         return parse_targets({_KINDS[kind]: float(value)})[0]
     except ValueError as error:
-        raise ValueError(f"target: expected a number above 0 after {kind}=, got {value!r}") from error
+        raise OptionError("choose", [("target", f"expected a number above 0 after {kind}=, got {value!r}")]) from error
 
 
 def _chosen(rows: pd.DataFrame, at: Mapping[str, Any]) -> pd.DataFrame:
@@ -112,11 +110,12 @@ def _chosen(rows: pd.DataFrame, at: Mapping[str, Any]) -> pd.DataFrame:
     for key, value in at.items():
         column = next((name for name in (key, swept_column(key), f"budget.{key}") if name in swept), None)
         if column is None:
-            raise ValueError(f"at: expected a swept key ({', '.join(swept) or 'there are none'}), got {key!r}")
+            known = ", ".join(swept) or "there are none"
+            raise OptionError("choose", [("at", f"expected a swept key ({known}), got {key!r}")])
         kept = [same_value(stored, value) for stored in rows[column]]
         if not any(kept):
             values = ", ".join(map(str, rows[column].unique()))
-            raise ValueError(f"at: {key}: expected one of its swept values ({values}), got {value!r}")
+            raise OptionError("choose", [(f"at.{key}", f"expected one of its swept values ({values}), got {value!r}")])
         rows = rows[kept].drop(columns=column)
     for column in [name for name in swept_columns(rows) if name.startswith("budget.")]:
         named = rows["method"].astype(str) + f" ({column.removeprefix('budget.')} = " + rows[column].map(str) + ")"
