@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from rich.console import Console
 
 from nfbench.core import Status, StoreError
 from nfbench.results import Results
@@ -61,7 +62,6 @@ def run(
 
     from nfbench.execution import refuse_dead
     from nfbench.execution import run as run_study  # only now, as a message about the manifest must not wait for them
-    from nfbench.report import print_report, shown
 
     from .forecast import Forecast
     from .progress import Lines, LiveView, Quiet
@@ -89,6 +89,15 @@ def run(
     except KeyboardInterrupt:
         console.print(f"Interrupted: {_progress(folder)}. Run the same command to resume.", markup=False)
         raise typer.Exit(INTERRUPTED) from None
+    _show(results, console, quiet)
+    raise typer.Exit(_outcome(results, quiet))
+
+
+def _show(results: Results, console: Console, quiet: bool) -> None:
+    """Print the report and what was written, or only the failures."""
+    from nfbench.report import print_report, shown
+
+    folder = results.folder
     if quiet:
         for status_, method, count, message in [*results.failures, *_failed_proofs(results)]:
             say(f"nfbench: {status_} × {count}: {method}: {message}", error=True)
@@ -98,7 +107,6 @@ def run(
         names = [*(name for name in tables if (folder / name).is_file()), "environment.json", "runs.sqlite"]
         console.print()
         console.print(shown(f"Written to {folder}/: {', '.join(names)}"), soft_wrap=True)
-    raise typer.Exit(_outcome(results, quiet))
 
 
 def _workers(address: str | None, jobs: int | None) -> str:
