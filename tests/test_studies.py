@@ -20,18 +20,28 @@ RESULTS = PROJECT / "results"
 MANIFESTS = sorted((PROJECT / "studies" / "paper").glob("*.toml"))
 REFUSED = {"rmse_snr_half": {"modified MUSIC 400×2000"}}  # methods that a study includes to show that they are refused
 NEW = ("line_of_sight", "snr_imbalance")  # studies of results/paper that were run with today's seeds and tables
-JUDGED = sorted([*RESULTS.glob("paper/*/claims.csv"), *RESULTS.glob("*/claims.csv")])
+IMPAIRMENTS = sorted((PROJECT / "studies" / "impairments").glob("*.toml"))
+FOLDERS = ("paper/*", "impairments/*", "*")
+JUDGED = sorted(table for folder in FOLDERS for table in RESULTS.glob(f"{folder}/claims.csv"))
 RELAXATION = PROJECT / "studies" / "relaxation.toml"
 WITH_CLAIMS = [
     *MANIFESTS,
-    *(PROJECT / "studies" / f"{name}.toml" for name in ("optimizer_choice", "relaxation", "certified")),
+    *IMPAIRMENTS,
+    *(PROJECT / "studies" / f"{name}.toml" for name in ("optimizer_choice", "relaxation", "certified", "measured")),
 ]
+DATA = PROJECT / ".." / "shared" / "data"  # of the studies of measured data
 SCENES = 100
 
 
 @functools.cache
 def loaded(manifest: Path) -> Study:
-    return nfbench.load_study(manifest)
+    if manifest.stem != "measured":
+        return nfbench.load_study(manifest)
+    if not DATA.is_dir():
+        pytest.skip(f"the measured data are not in {DATA}")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("NFBENCH_DATA", str(DATA))
+        return nfbench.load_study(manifest)
 
 
 def small(text: str) -> str:
@@ -40,7 +50,7 @@ def small(text: str) -> str:
     return re.sub(r"evaluations = (\d+)", lambda budget: f"evaluations = {int(budget[1]) // 60}", text)
 
 
-@pytest.mark.parametrize("manifest", [*MANIFESTS, RELAXATION], ids=lambda path: path.stem)
+@pytest.mark.parametrize("manifest", [*MANIFESTS, RELAXATION, *IMPAIRMENTS], ids=lambda path: path.stem)
 def test_a_study_runs_from_end_to_end(manifest, tmp_path):
     path = tmp_path / manifest.name
     path.write_text(small(manifest.read_text(encoding="utf-8")), encoding="utf-8")
@@ -165,6 +175,26 @@ def test_the_committed_verdicts_are_on_the_claims_of_the_manifest_and_in_the_pag
     text = page.read_text(encoding="utf-8")
     for row in judged:
         assert re.search(rf"^\| {re.escape(row['text'])} \| \*\*{row['verdict']}\*\*", text, flags=re.MULTILINE)
+
+
+def test_each_impairment_has_a_study_and_results():
+    page = (RESULTS / "impairments" / "README.md").read_text(encoding="utf-8")
+    assert len(IMPAIRMENTS) == 9
+    for path in IMPAIRMENTS:
+        summary = pd.read_csv(RESULTS / "impairments" / path.stem / "summary.csv")
+        assert set(summary["method"]) == {method.label for method in loaded(path).methods}
+        assert f"studies/impairments/{path.name}" in page
+
+
+def test_estimators_that_know_an_impairment_come_near_the_bound():
+    """Each impairment that can be known, at its greatest size, by the method that knows it."""
+    for path in IMPAIRMENTS:
+        summary = pd.read_csv(RESULTS / "impairments" / path.stem / "summary.csv")
+        known = summary[summary["method"].str.match("grid-refine.*, (known|spherical model)")]
+        key = next(name for name in summary if name.startswith("scenario."))
+        most = known[known[key] == summary[key].iloc[-1]]
+        assert (path.stem == "correlated_sources") == most.empty
+        assert (most["median_error_in_bounds"] < 2).all(), path.stem
 
 
 def test_studies_that_were_run_with_the_present_code_have_verdicts():

@@ -27,7 +27,7 @@ from nfbench.plugins import Registry
 
 __all__ = ["Key", "keys", "option_classes", "setup"]
 
-UNITS = {"_m": "m", "_deg": "°", "_db": "dB", "_hz": "Hz", "_s": "s", "_mb": "MiB", "_wavelengths": "λ"}
+UNITS = {"_m_s": "m/s", "_m": "m", "_deg": "°", "_db": "dB", "_hz": "Hz", "_s": "s", "_mb": "MiB", "_wavelengths": "λ"}
 NAMED_UNITS = {"seconds": "s"}
 NONE = {":": "default:", " for": "default:", " if": "leave it out if", ", or": "leave it out, or give"}
 IN_BRACKETS = {"m", "s", "°", "dB", "λ", "MiB", "rad", "°, m", "rad, m"}

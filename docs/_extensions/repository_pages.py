@@ -22,6 +22,8 @@ PAGES = {
     "results/optimizer_choice/README.md": "results/optimizer_choice.md",
     "results/certified/README.md": "results/certified.md",
     "results/relaxation/README.md": "results/relaxation.md",
+    "results/measured/README.md": "results/measured.md",
+    "results/impairments/README.md": "results/impairments.md",
     "CHANGELOG.md": "project/changelog.md",
     "CONTRIBUTING.md": "project/contributing.md",
 }

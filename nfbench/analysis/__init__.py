@@ -33,6 +33,7 @@ from .intervals import (
 )
 from .outcomes import Outcomes, Point, outcomes
 from .paired import PairedChange, paired_change, tuning_verdict
+from .parameters import Parameter, parameters
 from .ranking import ALL, Block, Ranking, rank
 from .sentences import sentence, sentences
 from .sign_flips import holm, log_ratios, sign_flip_pvalue, signed_ranks
@@ -58,6 +59,7 @@ __all__ = [
     "Choice",
     "Outcomes",
     "PairedChange",
+    "Parameter",
     "Point",
     "Ranking",
     "Request",
@@ -80,6 +82,7 @@ __all__ = [
     "log_ratios",
     "outcomes",
     "paired_change",
+    "parameters",
     "parse_targets",
     "performance_profile",
     "quantile_interval",

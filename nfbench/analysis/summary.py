@@ -14,6 +14,7 @@ from numpy import ndarray
 from nfbench.core import Status
 
 from .intervals import quantile_interval
+from .parameters import parameters
 from .targets import swept_columns
 
 __all__ = ["default_groups", "summarize"]
@@ -44,6 +45,10 @@ def summarize(
     * ``floor_m``: root mean square of the error that remains at any SNR.
     * ``gospa_m``: root mean square of the GOSPA; ``sources_found``: mean over the runs.
     * ``median_error_in_bounds`` and ``median_gap``: medians of these columns of the runs, where they exist.
+    * For each column such as ``azimuth_rmse_deg``, the errors of one parameter of the sources: ``azimuth_rmse_deg``,
+      its root mean square; ``azimuth_rmse_deg_median``, ``azimuth_rmse_deg_median_low`` and
+      ``azimuth_rmse_deg_median_high``, computed like ``median_m``; ``azimuth_bias_deg``, median of the signed errors of
+      all sources that were found; and ``crb_azimuth_deg``, root mean square of the bound, where there is one.
     * If ``error`` is not ``rmse_m``: ``<error>``, ``<error>_low``, ``<error>_high``, ``<error>_median``,
       ``<error>_q90``, ``<error>_median_low`` and ``<error>_median_high``, computed like the columns of ``rmse_m``.
 
@@ -84,7 +89,23 @@ def _summary(group: pd.DataFrame, error: str, outlier_m: float) -> dict[str, Any
     if error != "rmse_m":
         row |= _spread(_values(ok, error), error, f"{error}_median", f"{error}_q90")
         row |= _median_interval(group, error, f"{error}_median")
-    return row | _median_interval(group, "rmse_m", "median_m")
+    row |= _median_interval(group, "rmse_m", "median_m")
+    return {**row, **{name: value for name, value in _of_parameters(group, ok).items() if name not in row}}
+
+
+def _of_parameters(group: pd.DataFrame, ok: pd.DataFrame) -> dict[str, float]:
+    """The errors and bounds of the single parameters."""
+    row: dict[str, float] = {}
+    for parameter in parameters(group.columns):
+        errors, median = _values(ok, parameter.error), f"{parameter.error}_median"
+        row[parameter.error] = _root_mean_square(errors)
+        row[median] = float(np.median(errors)) if len(errors) else np.nan
+        row |= _median_interval(group, parameter.error, median)
+        signed = [_values(ok, name) for name in parameter.signed(ok.columns)]
+        row[parameter.bias] = float(np.median(np.concatenate(signed))) if any(map(len, signed)) else np.nan
+        if parameter.bound in group.columns:
+            row[parameter.bound] = _root_mean_square(_values(ok, parameter.bound))
+    return row
 
 
 def _median_interval(group: pd.DataFrame, error: str, name: str) -> dict[str, float]:

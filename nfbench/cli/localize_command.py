@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 from typer.core import TyperCommand
 
-from nfbench.core import NfbenchError
+from nfbench.core import NfbenchError, Picture
 
 from . import localize_options as opt
 from .common import Plugins, app, output, parsed_option, say
@@ -99,9 +99,13 @@ def localize(
     _write(None if json in (None, STDOUT) else Path(str(json)), localization_json(found))
     _write(csv, localization_csv(found))
     if figure is not None and found.picture is not None:
-        from nfbench.figures import write_localization_figure
+        _draw(found.picture, figure, data.name)
 
-        write_localization_figure(found.picture, figure, data.name)
+
+def _draw(picture: Picture, path: Path, title: str) -> None:
+    from nfbench.figures import write_localization_figure
+
+    write_localization_figure(picture, path, title)
 
 
 def _write(path: Path | None, text: str) -> None:

@@ -24,6 +24,9 @@ class Metric(StrEnum):
 
     RMSE = "rmse"
     MEDIAN = "median"
+    AZIMUTH = "azimuth"
+    ELEVATION = "elevation"
+    RANGE = "range"
 
 
 class CostAxis(StrEnum):
@@ -139,7 +142,10 @@ def figure(
     ] = Width.SINGLE,
     metric: Annotated[
         Metric | None,
-        typer.Option(help="Error measure to show (default: both, and the outlier rate if there are outliers)."),
+        typer.Option(
+            help="Error measure to show, or a parameter with its RMSE, median and bound (default: RMSE and median, and "
+            "the outlier rate if there are outliers)."
+        ),
     ] = None,
     title: Annotated[bool, typer.Option(help="Print the study's title above each figure.")] = True,
     positions: Annotated[

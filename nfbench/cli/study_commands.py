@@ -103,10 +103,8 @@ def _show(results: Results, console: Console, quiet: bool) -> None:
             say(f"nfbench: {status_} × {count}: {method}: {message}", error=True)
     else:
         print_report(results, console)
-        tables = ("runs.csv", "summary.csv", "targets.csv", "ranking.csv", "claims.csv", "references.csv")
-        names = [*(name for name in tables if (folder / name).is_file()), "environment.json", "runs.sqlite"]
         console.print()
-        console.print(shown(f"Written to {folder}/: {', '.join(names)}"), soft_wrap=True)
+        console.print(shown(f"Written to {folder}/: {', '.join(_written(folder))}"), soft_wrap=True)
 
 
 def _workers(address: str | None, jobs: int | None) -> str:
@@ -115,6 +113,13 @@ def _workers(address: str | None, jobs: int | None) -> str:
         return ""
     count = int(address.removeprefix("local:")) if address else os.cpu_count() or 1 if jobs is None else max(jobs, 1)
     return f" on {count} worker{'s' * (count != 1)}"
+
+
+def _written(folder: Path) -> list[str]:
+    """The names of the files that a study has written."""
+    tables = ("runs", "summary", "targets", "ranking", "claims", "references", "positions")
+    found = [path.name for name in tables if (path := folder / f"{name}.csv").is_file()]
+    return [*found, "environment.json", "runs.sqlite"]
 
 
 def _outcome(results: Results, quiet: bool) -> int:

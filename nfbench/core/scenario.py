@@ -43,8 +43,8 @@ class Instance(ABC):
 
         These are two arrays, of shape (K, 3) and with at least K rows. Row k of the second one is the estimate assigned
         to source k, or NaN if no estimate is assigned to it. Rows beyond K are the estimates that are assigned to no
-        source. The default is None, which means that there are no positions to show. It is called for estimates whose
-        ``score`` is valid.
+        source, which are all of them if K is 0 because the truth is not known. The default is None, which means that
+        there are no positions to show. It is called for estimates whose ``score`` is valid.
         """
         return None
 

@@ -15,7 +15,7 @@ from typing import Any, Protocol
 
 from nfbench.core import NfbenchError
 from nfbench.results import Results, Store, network_file_system, prepare, write_whole
-from nfbench.study import RunRecord, RunSpec, Study
+from nfbench.study import MANIFEST_FOLDER, RunRecord, RunSpec, Study
 
 from .compile_ahead import warm_up
 from .engine import Batches, run_specs
@@ -92,7 +92,8 @@ def run(
             _store_batches(_batches(study, todo, proofs, jobs, cluster, stop), store, log, listener)
         finally:
             if work or is_new or not store.tabled() or not results.has_tables():
-                _write_environment(folder, describe_environment(study.plugins), cluster or jobs, started)
+                environment = {**describe_environment(study.plugins), **_origin(study, folder)}
+                _write_environment(folder, environment, cluster or jobs, started)
                 results.write_tables()
                 store.mark_tabled()
             log.info("ended: %s", ", ".join(f"{count} {status}" for status, count in store.counts().items()))
@@ -127,6 +128,13 @@ def _batches(
     from .dask_cluster import run_on_cluster
 
     return run_on_cluster(specs, study.plugins, cluster, stop)
+
+
+def _origin(study: Study, folder: Path) -> dict[str, str]:
+    """Where the manifest was, so that relative paths in its copy keep their meaning; empty if it cannot be said."""
+    with contextlib.suppress(ValueError):  # on another drive
+        return {MANIFEST_FOLDER: Path(os.path.relpath(study.folder.resolve(), folder.resolve())).as_posix()}
+    return {}
 
 
 def _write_environment(folder: Path, environment: dict[str, Any], jobs: int | str, started: datetime) -> None:

@@ -13,7 +13,7 @@ import pandas as pd
 from jaxtyping import Float
 from numpy import ndarray
 
-from nfbench.analysis import default_groups, quantile_interval, summarize, swept_columns
+from nfbench.analysis import default_groups, parameters, quantile_interval, summarize, swept_columns
 from nfbench.core import NfbenchError, Status
 from nfbench.results import Evidence, Results
 
@@ -34,13 +34,13 @@ class Metric:
 
     column: name of the column; its interval is in ``<column>_low`` and ``<column>_high``.
     label: label of the axis.
-    bounded: whether the bound and the floor apply to it; they are root mean squares.
+    bounds: columns of the bounds and floors that apply to it; they are root mean squares.
     share: whether it is a share of sources, shown in percent.
     """
 
     column: str
     label: str
-    bounded: bool = False
+    bounds: tuple[str, ...] = ()
     share: bool = False
 
 
@@ -112,14 +112,30 @@ class Drawn:
         return replace(self, runs=part.at(self.runs), table=part.at(self.table), where=self.where + where)
 
     def metrics(self, wanted: Wanted | None) -> list[Metric]:
-        """RMSE, median, and the outlier rate if there are outliers; or only the wanted measure."""
+        """RMSE, median, and the outlier rate if there are outliers; or only the wanted measure.
+
+        Raises NfbenchError if the runs have no errors of a wanted parameter.
+        """
+        if wanted not in (None, "rmse", "median"):
+            return self._of_parameter(wanted)
         metres = self.error == "rmse_m"
-        rmse = Metric(self.error, "RMSE [m]" if metres else f"RMS {self.error}", bounded=metres)
+        rmse = Metric(
+            self.error, "RMSE [m]" if metres else f"RMS {self.error}", bounds=("crb_m", "floor_m") if metres else ()
+        )
         median = Metric("median_m" if metres else f"{self.error}_median", self.median_label)
         if wanted:
             return [rmse if wanted == "rmse" else median]
         far = Metric("outlier_rate", f"Off by\n> {self.outlier_m:g} m [%]", share=True)
         return [rmse, median, *([far] if (self.table["outlier_rate"] > 0).any() else [])]
+
+    def _of_parameter(self, wanted: Wanted) -> list[Metric]:
+        """RMSE and median of a parameter such as the azimuth."""
+        known = {parameter.name: parameter for parameter in parameters(self.table.columns)}
+        if wanted not in known:
+            raise NfbenchError(f"metric: expected {', '.join(['rmse', 'median', *known])}, got {wanted!r}")
+        found = known[wanted]
+        rmse = Metric(found.error, f"{wanted.capitalize()} RMSE [{found.symbol}]", bounds=(found.bound,))
+        return [rmse, Metric(f"{found.error}_median", f"Median {wanted} error [{found.symbol}]")]
 
     @property
     def median_label(self) -> str:

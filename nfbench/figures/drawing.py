@@ -15,7 +15,7 @@ Kind: TypeAlias = Literal[
     "error", "runtime", "distribution", "ert", "ranks", "tradeoff", "attainment", "convergence", "positions"
 ]
 KINDS: tuple[Kind, ...] = get_args(Kind)
-Wanted: TypeAlias = Literal["rmse", "median"]
+Wanted: TypeAlias = Literal["rmse", "median", "azimuth", "elevation", "range"]
 
 
 class NotDrawnError(NfbenchError):
@@ -28,7 +28,8 @@ class Drawing:
     """How figures are drawn.
 
     width: "single" for the width of an IEEE column (3.5 in), "double" for that of a page (7.16 in).
-    metric: the error measure to show; None: RMSE, median, and the outlier rate if there are outliers.
+    metric: the error measure to show, or a parameter, whose RMSE and median are shown; None: RMSE, median, and the
+        outlier rate if there are outliers.
     title: whether to print the study's title above each figure.
     positions: whether to draw true and estimated positions; None: only if the study is small.
     traces: whether to draw convergence.

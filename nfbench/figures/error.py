@@ -22,7 +22,7 @@ from .drawing import Wanted
 from .labels import Places, name_of, plain, setting, short, text_of
 from .style import WIDTHS
 
-__all__ = ["BOUNDS", "error_figures", "headed", "heading", "method_handles", "named", "slug"]
+__all__ = ["bound_look", "error_figures", "headed", "heading", "method_handles", "named", "slug"]
 
 PANELS = {"single": 3, "double": 4}  # values of a second key in one figure; if there are more, each has its own figure
 NAME = {"single": 26, "double": 50}  # characters per line of a method's name
@@ -32,9 +32,9 @@ STEM = 120  # characters of a file name
 BEYOND = 1e6  # times the lower end: where an interval ends that reaches infinity
 BANDS = 5  # with more methods, intervals are bars, because bands would hide each other
 BOUNDS: dict[str, tuple[str, dict[str, Any]]] = {  # columns of the summary that are drawn in addition to the methods
-    "crb_m": ("Cramér–Rao bound", {"color": "black", "linestyle": "--", "linewidth": 1.0}),
-    "floor_m": ("Error floor", {"color": "black", "linestyle": ":", "linewidth": 1.2}),
-}
+    "crb": ("Cramér–Rao bound", {"color": "black", "linestyle": "--", "linewidth": 1.0}),
+    "floor": ("Error floor", {"color": "black", "linestyle": ":", "linewidth": 1.2}),
+}  # by the first word of their names
 
 
 def error_figures(study: Drawn, width: str, wanted: Wanted | None) -> Iterator[tuple[str, Figure]]:
@@ -49,6 +49,11 @@ def error_figures(study: Drawn, width: str, wanted: Wanted | None) -> Iterator[t
     for panels in together:
         stem = "error" if len(together) == 1 else f"error-{slug(panels[0])}"
         yield stem, _lines(panels, metrics, width, column, at) if at else _dots(panels, metrics, width, column)
+
+
+def bound_look(column: str) -> tuple[str, dict[str, Any]]:
+    """The name of a bound in a legend, and how its line is drawn."""
+    return BOUNDS[column.partition("_")[0]]
 
 
 def headed(ax: Axes, part: Drawn) -> None:
@@ -141,9 +146,10 @@ def _draw_lines(ax: Axes, part: Drawn, metric: Metric, column: str, at: Places) 
         if not bars.all():
             ax.fill_between(x[~bars], low[~bars], high[~bars], color=style.colour, alpha=0.16, linewidth=0, zorder=1)
         ax.vlines(x[bars], low[bars], high[bars], color=style.colour, linewidth=0.7, alpha=0.6, zorder=2)
-    for name, (_, look) in BOUNDS.items():
-        rows = part.bound(name).sort_values(column) if metric.bounded else part.table.iloc[:0]
+    for name in metric.bounds:
+        rows, (_, look) = part.bound(name), bound_look(name)
         if len(rows):
+            rows = rows.sort_values(column)
             x = rows[column].map(at.of).to_numpy(dtype=np.float64)
             ax.plot(*_apart(x, rows[name].to_numpy(), at), **look, label=name, zorder=2.5)
             ax.plot(x[x == at.beyond], rows[name].to_numpy()[x == at.beyond], color="black", marker="_")
@@ -177,7 +183,7 @@ def _dots(parts: list[Drawn], metrics: list[Metric], width: str, column: str | N
         axes[-1].set_xlabel(metric.label.replace(" [%]", "\n[%]"))
     for ax in grid[:, 0] if column else ():
         ax.set_ylabel(name_of(key_of(column or "")))
-    if column or any(len(parts[0].bound(name)) for name in BOUNDS):
+    if column or any(len(parts[0].bound(name)) for metric in metrics for name in metric.bounds):
         _legend(figure, parts, metrics, joined=False, methods=column is not None)
     return figure
 
@@ -223,9 +229,9 @@ def _draw_dots(ax: Axes, group: Drawn, metric: Metric, places: dict[str, float],
         low, high = _ends(rows, metric)
         if not metric.share and not np.isnan(low).all():
             ax.hlines([y], low, high, color=style.colour, linewidth=1.0, zorder=2)
-    for name, (_, look) in BOUNDS.items():
-        for value in group.bound(name)[name] if metric.bounded and name in group.table else ():
-            ax.plot([value, value], span, **look, label=name, zorder=1)
+    for name in metric.bounds:
+        for value in group.bound(name)[name] if name in group.table else ():
+            ax.plot([value, value], span, **bound_look(name)[1], label=name, zorder=1)
 
 
 def _names(table: pd.DataFrame, width: str) -> list[str]:
@@ -264,14 +270,15 @@ def _scale(axes: Sequence[Axes], which: Literal["x", "y"], metric: Metric, parts
             getattr(ax, f"set_{which}lim")(-0.06 * top, 1.06 * top)
             getattr(ax, f"set_{which}ticks")([0, top // 2, top])
         return
-    columns = [metric.column, f"{metric.column}_low", f"{metric.column}_high", *(BOUNDS if metric.bounded else ())]
+    columns = [metric.column, f"{metric.column}_low", f"{metric.column}_high", *metric.bounds]
     error_axis(axes, which, [v for part in parts for name in columns if name in part.table for v in part.table[name]])
 
 
 def _legend(figure: Figure, parts: list[Drawn], metrics: list[Metric], *, joined: bool, methods: bool = True) -> None:
     handles = method_handles(parts[0], joined) if methods else {}
-    for name, (text, look) in BOUNDS.items():
-        if any(metric.bounded for metric in metrics) and any(len(part.bound(name)) for part in parts):
+    for name in dict.fromkeys(name for metric in metrics for name in metric.bounds):
+        if any(len(part.bound(name)) for part in parts):
+            text, look = bound_look(name)
             handles[text] = Line2D([], [], **look)
     if handles:
         legend_below(figure, handles)

@@ -22,6 +22,8 @@ _NAMES = {  # swept keys whose label needs more than the name, such as a symbol
     "snapshots": "Number of snapshots T",
     "array.elements": "Number of elements M",
     "wavelength_m": "Wavelength λ [m]",
+    "frequency_hz": "Frequency f [Hz]",
+    "speed_m_s": "Speed of the waves c [m/s]",
     "nlos": "Scattering",
     "nlos.kind": "Scattering",
     "dimension": "Dimension n",

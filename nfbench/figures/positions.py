@@ -111,7 +111,7 @@ def _redrawn(part: Drawn, scenario: Scenario, numbers: dict[int, int], estimates
                     f"{error:.6g} on the instance redrawn from the manifest's scenario and the run's seed"
                 )
             placed = instance.positions(estimate)
-            if placed is None:
+            if placed is None or not len(placed[0]):
                 return None
             truth, matched[run["method"]] = placed[0], placed[1][: len(placed[0])]
         truths.append(truth)

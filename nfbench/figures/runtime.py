@@ -8,7 +8,7 @@ from matplotlib.lines import Line2D
 from .axes import error_axis, legend_below, new_figure, panel_rows, panels
 from .data import Drawn, chosen
 from .drawing import Drawing
-from .error import BOUNDS, headed, method_handles
+from .error import bound_look, headed, method_handles
 from .labels import plain
 from .style import WIDTHS
 
@@ -37,10 +37,10 @@ def runtime_figure(study: Drawn, how: Drawing) -> Figure:
             if f"{metric.column}_low" in point and point[f"{metric.column}_low"].notna().all():
                 y_low, y_high = (point[f"{metric.column}_{end}"] for end in ("low", "high"))
                 ax.vlines(x, y_low, y_high.clip(upper=1e6 * y_low), color=style.colour, linewidth=0.8, zorder=2)
-        for name, (_, look) in BOUNDS.items():
-            for value in part.bound(name)[name] if metric.bounded and name in part.table else ():
-                ax.axhline(value, **look, label=name, zorder=1)
-    shown = [f"{metric.column}{end}" for end in ("", "_low", "_high")] + [name for name in BOUNDS if metric.bounded]
+        for name in metric.bounds:
+            for value in part.bound(name)[name] if name in part.table else ():
+                ax.axhline(value, **bound_look(name)[1], label=name, zorder=1)
+    shown = [f"{metric.column}{end}" for end in ("", "_low", "_high")] + [*metric.bounds]
     error_axis(axes, "y", [v for part in parts for name in shown if name in part.table for v in part.table[name]])
     times = [f"{TIME}{end}" for end in ("", "_low", "_high")]
     error_axis(axes, "x", [v for part in parts for name in times for v in part.table[name]])
@@ -49,8 +49,9 @@ def runtime_figure(study: Drawn, how: Drawing) -> Figure:
     for ax in lowest:
         ax.set_xlabel("Run time [s]")
     handles = method_handles(study, joined=False)
-    for name, (text, look) in BOUNDS.items():
-        if metric.bounded and any(len(part.bound(name)) for part in parts):
+    for name in metric.bounds:
+        if any(len(part.bound(name)) for part in parts):
+            text, look = bound_look(name)
             handles[text] = Line2D([], [], **look)
     legend_below(figure, handles)
     return figure

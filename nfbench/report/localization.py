@@ -36,7 +36,8 @@ def print_localization(found: Localization, console: Console) -> None:
         facts = (f"{_heading(name)} {value:.4g}" for name, value in found.fit.items() if not math.isnan(value))
         console.print(shown(f"Fit: {', '.join(facts)}"))
     for warning in found.warnings:
-        console.print(shown(f"Warning: {warning}.", "yellow"))
+        end = "" if warning.endswith((".", "?")) else "."
+        console.print(shown(f"Warning: {warning}{end}", "yellow"))
 
 
 def localization_json(found: Localization) -> str:

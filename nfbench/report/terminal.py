@@ -17,6 +17,7 @@ from nfbench.analysis import Block, Outcomes, Ranking, default_groups, sentences
 from nfbench.core import Status, printable
 from nfbench.results import Comparison, Results
 
+from .parameters import print_parameters
 from .proofs import print_proofs
 
 __all__ = ["number_text", "print_comparison", "print_report", "shown", "summary_table"]
@@ -65,6 +66,7 @@ def print_report(results: Results, console: Console) -> None:
             console.print(summary_table(title, rows, meta["error"], float(meta["outlier_m"]), console))
         console.print(shown(evidence.unranked))
     _print_claims(evidence.claims(), console)
+    print_parameters(summary, ranking.frame, console, number_text)
     print_proofs(evidence.references, results.reference_counts.get("open", 0), console)
     _print_failures(runs, console)
 

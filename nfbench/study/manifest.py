@@ -16,6 +16,7 @@ from .methods import budget_limits, study_methods
 from .plan import Study, scene_seed
 from .plausibility import plugin_warnings
 from .proofs import provable
+from .reading import folder_of
 from .reading import read_manifest as _read
 from .records import Method, PluginSpec, swept_column
 from .resolve import ErrorCollector, Resolver
@@ -35,11 +36,11 @@ def load_study(path: str | Path, plugins: Iterable[str | Path] = ()) -> Study:
     path = Path(path)
     table, text = _read(path)
     errors = ErrorCollector()
-    with relative_to(path.parent):
-        study = _study(table, text, path.parent, tuple(plugins), errors)
+    with relative_to(folder_of(path)):
+        study = _study(table, text, folder_of(path), tuple(plugins), errors)
     if errors.texts or study is None:
         raise ManifestError(str(path), errors.texts)
-    return study
+    return replace(study, folder=folder_of(path))
 
 
 def load_scenarios(path: str | Path, plugins: Iterable[str | Path] = ()) -> list[tuple[dict[str, Any], Scenario]]:
@@ -52,7 +53,7 @@ def load_scenarios(path: str | Path, plugins: Iterable[str | Path] = ()) -> list
     path = Path(path)
     table, _ = _read(path)
     errors = ErrorCollector()
-    with relative_to(path.parent):
+    with relative_to(folder_of(path)):
         manifest = _top_level(table, errors)
         resolver = Resolver(_registry(plugins, errors), errors)
         points, _ = sweep_points(manifest, resolver)
@@ -75,7 +76,7 @@ def load_methods(path: str | Path, plugins: Iterable[str | Path] = ()) -> list[M
     path = Path(path)
     table, _ = _read(path)
     errors = ErrorCollector()
-    with relative_to(path.parent):
+    with relative_to(folder_of(path)):
         manifest = _top_level(table, errors)
         resolver = Resolver(_registry(plugins, errors), errors)
         methods = study_methods(with_first_limits(manifest), resolver, None)

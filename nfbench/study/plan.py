@@ -7,6 +7,7 @@ import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
+from pathlib import Path
 from typing import Any
 
 from nfbench.core import OptionError
@@ -39,6 +40,7 @@ class Study:
     targets: (kind, value) of each target, in the order of the manifest; empty for the defaults.
     claims: tables of the claims that the study tests, as in the manifest.
     proven: labels of the formulations whose optimum in each scene is to be proven.
+    folder: folder that relative paths in the manifest refer to.
     """
 
     name: str
@@ -57,6 +59,7 @@ class Study:
     targets: tuple[tuple[str, float], ...] = ()
     claims: tuple[dict[str, Any], ...] = ()
     proven: tuple[str, ...] = ()
+    folder: Path = field(default=Path(), repr=False)
 
     def __post_init__(self) -> None:
         runs = self.scenes * self._runs_of_scene

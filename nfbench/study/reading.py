@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+import json
 import os
 import re
 import stat
@@ -15,7 +16,9 @@ from nfbench.core import ManifestError
 
 from .schema import Table
 
-__all__ = ["read_manifest"]
+__all__ = ["MANIFEST_FOLDER", "folder_of", "read_manifest"]
+
+MANIFEST_FOLDER = "manifest_folder"  # key of environment.json: that of the manifest, seen from the results folder
 
 MAX_BYTES = 1_000_000  # of the file
 MAX_VALUES = 50_000  # numbers, texts, lists and tables in the file
@@ -64,6 +67,20 @@ def read_manifest(path: Path) -> tuple[Table, str]:
     if problems := list(_problems(table)):
         raise ManifestError(str(path), problems)
     return table, text
+
+
+def folder_of(path: Path) -> Path:
+    """Return the folder that relative paths in a manifest refer to.
+
+    It is the manifest's own folder. For the copy in a results folder it is that of the manifest from which the study
+    was run, if it is still there: a file of the results must not take the place of one of the study.
+    """
+    try:
+        facts = json.loads((path.parent / "environment.json").read_text(encoding="utf-8"))
+        origin = path.parent / facts[MANIFEST_FOLDER]
+        return origin if path.name == "manifest.toml" and origin.is_dir() else path.parent
+    except (OSError, ValueError, TypeError, KeyError, RecursionError):  # missing, damaged, or older
+        return path.parent
 
 
 class _Refused(Exception):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Protocol
+from typing import ClassVar, Protocol
 
 import numpy as np
 from jaxtyping import Complex, Float
@@ -14,6 +14,8 @@ from numpy import ndarray
 from nfbench import Instance, Localization
 
 from .arrays import Array
+from .bands import Band
+from .calibration import ALL, calibrated
 from .diagnosis import describe_sources
 from .geometry import Frame
 from .wavefronts import Manifold
@@ -32,7 +34,14 @@ class ArrayInstance(Instance, ABC):
     notes: sentences that say how the data were read.
     gains: known complex gains of the elements, shape (M,); None: not known, or all 1.
     noise_covariance: known covariance of the noise, shape (M, M), in the units of Y; None: not known, or white.
+    further: frequency bins of wideband data besides that of Y.
+    coupling: known matrix of mutual coupling, shape (M, M); None: not known, or none.
+    failed: indices of elements that are known to receive noise only.
+    element_positions: known true positions of the elements relative to the origin [m], shape (M, 3); None: as nominal.
+    is_measured: whether gains and noise were given with the data, so that estimators know them.
     """
+
+    is_measured: ClassVar[bool] = False
 
     Y: Complex[ndarray, "m t"]
     manifold: Manifold
@@ -42,6 +51,15 @@ class ArrayInstance(Instance, ABC):
     notes: tuple[str, ...] = ()
     gains: Complex[ndarray, " m"] | None = None
     noise_covariance: Complex[ndarray, "m m"] | None = None
+    coupling: Complex[ndarray, "m m"] | None = None
+    failed: tuple[int, ...] = ()
+    element_positions: Float[ndarray, "m 3"] | None = None
+    further: tuple[Band, ...] = ()
+
+    @property
+    def bands(self) -> tuple[Band, ...]:
+        """The data of all frequency bins, those of Y first; narrowband data have one."""
+        return Band(self.Y, self.manifold), *self.further
 
     @property
     @abstractmethod
@@ -54,8 +72,8 @@ class ArrayInstance(Instance, ABC):
         The positions are in the coordinates in which the user describes the array; see ``describe_sources``.
         """
         theta = np.asarray(estimate, dtype=np.float64).reshape(-1, self.manifold.dimension)
-        box = self.lower, self.upper
-        found = describe_sources(self.Y, self.manifold, self.frame, *box, self.sources, theta, self.truth())
+        Y, manifold = calibrated(self, ALL)[0].received if self.is_measured else (self.Y, self.manifold)
+        found = describe_sources(Y, manifold, self.frame, self.lower, self.upper, self.sources, theta, self.truth())
         return replace(found, notes=self.notes)
 
 
@@ -70,6 +88,9 @@ class ArrayScenario(Protocol):
 
     @property
     def elevation_deg(self) -> tuple[float, float] | None: ...
+
+    @property
+    def bins(self) -> int: ...
 
     def manifold(self) -> Manifold: ...
 

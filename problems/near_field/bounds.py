@@ -2,8 +2,9 @@
 
 Both bounds are C = (σ²/2T)·{Re[(DᴴΠ⊥D) ⊙ Xᵀ]}⁻¹ with σ² = 1, where D contains the derivatives of the responses,
 Π⊥ = I − A(AᴴA)⁻¹Aᴴ, and element (k, l) of the K×K matrix X is used for every pair of parameters of sources k and l.
-They hold for data Y = A·S + N in pure line of sight with a known number of sources, and do not take into account the
-box in which estimates are searched.
+They hold for data Y = A·S + N in pure line of sight with a known number of sources and white noise of unit power. A
+contains what the estimator knows of gains, coupling and a whitening filter (``calibration``). They do not take into
+account the box in which estimates are searched.
 
 A bound is finite only if its rounding error is below about 1 %: the remainder of each projected derivative must exceed
 its rounding error by the factor ``rounding.CERTAIN``. All elements are inf otherwise, which is the case
@@ -29,30 +30,40 @@ from scipy.linalg import solve_triangular
 from .rounding import CERTAIN, magnitudes, undefined
 from .wavefronts import Manifold
 
-__all__ = ["deterministic_bound", "information_root", "position_bounds", "stochastic_bound"]
+__all__ = [
+    "deterministic_bound",
+    "information_root",
+    "invert_information",
+    "position_bounds",
+    "root_of_deterministic",
+    "root_of_stochastic",
+    "stochastic_bound",
+]
 
 
 def stochastic_bound(
-    manifold: Manifold, theta: Float[ndarray, "k d"], snr: Float[ndarray, " k"], snapshots: int
+    manifold: Manifold,
+    theta: Float[ndarray, "k d"],
+    snr: Float[ndarray, " k"],
+    snapshots: int,
+    correlation: Complex[ndarray, "k k"] | None = None,
 ) -> Float[ndarray, "kd kd"]:
     """Return the bound on the covariance of θ̂, in the order of ``theta.ravel()`` [rad, m], for random symbols.
 
-    The symbols are circular Gaussian and uncorrelated; the estimator knows neither their covariance nor the power of
-    the noise. X = PAᴴR⁻¹AP with R = APAᴴ + I and P = diag(snr) (Stoica & Nehorai 1990, doi:10.1109/29.60109; direct
-    derivation by Stoica, Larsson & Gershman 2001). All elements are inf if the data do not determine the sources, for
-    example if two sources coincide, if the wavefront is planar, so that the range is undetermined, or if a source lies
-    on an element.
+    The symbols are circular Gaussian; the estimator knows neither their covariance nor the power of the noise.
+    X = PAᴴR⁻¹AP with R = APAᴴ + I and P = diag(√snr)·C·diag(√snr), C their correlation (Stoica & Nehorai 1990,
+    doi:10.1109/29.60109; direct derivation by Stoica, Larsson & Gershman 2001). All elements are inf if the data do not
+    determine the sources, for example if two sources coincide, if the wavefront is planar, so that the range is
+    undetermined, or if a source lies on an element.
 
     manifold: array and wavefront model.
     theta: sources [rad, m], shape (K, d).
     snr: signal-to-noise power ratio per source at each antenna, shape (K,).
     snapshots: number T of snapshots.
+    correlation: correlation matrix of the symbols, shape (K, K), which is singular for coherent sources; None: they are
+        uncorrelated.
     """
-    amplitude = np.sqrt(snr)
-    _, s, Vh = np.linalg.svd(manifold.response(theta).T * amplitude, full_matrices=False)
-    # with AP½ = U·s·Vᴴ, X = P½V·s²/(1 + s²)·VᴴP½ = factor·factorᴴ; this form avoids cancellation
-    factor = amplitude[:, None] * Vh.conj().T * (s / np.sqrt(1 + s * s))
-    return _covariance(manifold, theta, factor, snapshots)
+    return invert_information(*root_of_stochastic(manifold, theta, snr, correlation), snapshots)
 
 
 def deterministic_bound(
@@ -67,8 +78,7 @@ def deterministic_bound(
     theta: sources [rad, m], shape (K, d).
     symbols: symbols S including their amplitudes, √snr_k times a symbol of unit variance, shape (K, T).
     """
-    T = symbols.shape[1]
-    return _covariance(manifold, theta, np.linalg.qr(symbols.conj().T).R.conj().T / math.sqrt(T), T)
+    return invert_information(*root_of_deterministic(manifold, theta, symbols), symbols.shape[1])
 
 
 def position_bounds(covariance: Float[ndarray, "kd kd"], theta: Float[ndarray, "k d"]) -> Float[ndarray, " k"]:
@@ -84,6 +94,35 @@ def position_bounds(covariance: Float[ndarray, "kd kd"], theta: Float[ndarray, "
         metres[:, 0] *= np.cos(theta[:, 1])
     bounds: ndarray = np.sqrt(np.sum(metres**2 * variance, axis=1))
     return bounds
+
+
+def root_of_stochastic(
+    manifold: Manifold,
+    theta: Float[ndarray, "k d"],
+    snr: Float[ndarray, " k"],
+    correlation: Complex[ndarray, "k k"] | None = None,
+) -> tuple[Float[ndarray, "rows kd"], Float[ndarray, " kd"]]:
+    """Return the ``information_root`` of ``stochastic_bound``."""
+    amplitude = np.sqrt(snr)
+    A = manifold.response(theta).T
+    # with P = B·Bᴴ and AB = U·s·Vᴴ, X = BV·s²/(1 + s²)·VᴴBᴴ = factor·factorᴴ; this form avoids cancellation
+    if correlation is None:
+        _, s, Vh = np.linalg.svd(A * amplitude, full_matrices=False)
+        factor = amplitude[:, None] * Vh.conj().T * (s / np.sqrt(1 + s * s))
+    else:
+        values, vectors = np.linalg.eigh(correlation)
+        B = amplitude[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
+        _, s, Vh = np.linalg.svd(A @ B, full_matrices=False)
+        factor = B @ Vh.conj().T * (s / np.sqrt(1 + s * s))
+    return information_root(manifold, theta, factor)
+
+
+def root_of_deterministic(
+    manifold: Manifold, theta: Float[ndarray, "k d"], symbols: Complex[ndarray, "k t"]
+) -> tuple[Float[ndarray, "rows kd"], Float[ndarray, " kd"]]:
+    """Return the ``information_root`` of ``deterministic_bound``."""
+    T = symbols.shape[1]
+    return information_root(manifold, theta, np.linalg.qr(symbols.conj().T).R.conj().T / math.sqrt(T))
 
 
 def information_root(
@@ -111,10 +150,15 @@ def information_root(
     return np.vstack([J.real, J.imag]), errors
 
 
-def _covariance(
-    manifold: Manifold, theta: Float[ndarray, "k d"], factor: Complex[ndarray, "k c"], snapshots: int
+def invert_information(
+    J: Float[ndarray, "rows kd"], rounding: Float[ndarray, " kd"], snapshots: int
 ) -> Float[ndarray, "kd kd"]:
-    J, rounding = information_root(manifold, theta, factor)
+    """Return (2T·JᵀJ)⁻¹; all elements are inf if a column of J is not certain to be independent of the others.
+
+    J: root of the information per snapshot, as ``information_root`` returns it.
+    rounding: rounding errors of its columns.
+    snapshots: number T of snapshots.
+    """
     R = np.linalg.qr(J).R
     n = len(rounding)
     if len(R) < n or not (np.abs(np.diag(R)) > CERTAIN * rounding).all():

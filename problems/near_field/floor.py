@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from jaxtyping import Complex, Float
 from numpy import ndarray
 from scipy.optimize import Bounds, minimize
 
+from .bands import Band
 from .bounds import information_root
+from .search import BandFit, search_bands_locally
 from .wavefronts import Manifold
 
-__all__ = ["local_fit", "noise_free_columns"]
+__all__ = ["floor_of_bands", "local_fit", "noise_free_columns"]
 
 
 def noise_free_columns(H: Complex[ndarray, "draws m k"], symbols: Complex[ndarray, "k t"]) -> Complex[ndarray, "m c"]:
@@ -75,3 +79,21 @@ def local_fit(
     )
     fitted: ndarray = found.x.reshape(theta.shape) * scale
     return np.clip(fitted, lower, upper)  # scaling back may round a point out of the box
+
+
+def floor_of_bands(
+    bands: Sequence[Band], theta: Float[ndarray, "k d"], lower: Float[ndarray, " d"], upper: Float[ndarray, " d"]
+) -> Float[ndarray, "k d"]:
+    """Return the local minimizer of the sum of ‖(I − P_A(θ))·columns‖²_F over frequency bins, from ``theta``.
+
+    bands: bins with known channels and symbols.
+    theta: starting point [rad, m], shape (K, d).
+    lower: lower bounds of one source [rad, m], shape (d,).
+    upper: upper bounds of one source [rad, m], shape (d,).
+    """
+    fits = [
+        BandFit(noise_free_columns(band.H, band.symbols), band.manifold)
+        for band in bands
+        if band.H is not None and band.symbols is not None
+    ]
+    return search_bands_locally(fits, lower, upper, theta.ravel()).x.reshape(theta.shape)

@@ -13,11 +13,13 @@ from numpy import ndarray
 from scipy.optimize import linear_sum_assignment
 
 from .array_instance import ArrayInstance
-from .bounds import deterministic_bound, position_bounds, stochastic_bound
-from .floor import local_fit, noise_free_columns
+from .bands import Band, bounds_of_bands
+from .bounds import position_bounds
+from .calibration import true_bands
+from .floor import floor_of_bands, local_fit, noise_free_columns
 from .geometry import Frame, cartesian
 from .parameters import parameter_bounds, parameter_scores
-from .wavefronts import Manifold
+from .wavefronts import Amplitude, Manifold
 
 __all__ = ["NearFieldInstance", "position_errors", "position_scores", "positions_of"]
 
@@ -29,17 +31,28 @@ ENUMERATED = 3  # up to this number of sources, trying all assignments of many e
 class NearFieldInstance(ArrayInstance):
     """The data received by an array, and the sources that sent them.
 
+    The data are Y = Γ·C·H·S + N. What follows ``frame`` describes how the array differs from the nominal one;
+    None or nothing stands for the nominal value. An estimator sees it only as far as its options say so.
+
     Y: received data, shape (M, T), with noise of unit variance.
     theta: true sources ``[azimuth, (elevation,) range]`` [rad, m], shape (K, d).
-    manifold: array and wavefront model with which the data were generated.
+    manifold: array and wavefront model with which the data were generated, without impairments.
     lower: lower bounds of one source [rad, m], shape (d,).
     upper: upper bounds of one source [rad, m], shape (d,).
-    H: channel of the whole block, shape (1, M, K), or of each snapshot, shape (T, M, K).
+    H: channel of the whole block, shape (1, M, K), or of each snapshot, shape (T, M, K), including Γ and C.
     symbols: symbols sent by the sources, shape (K, T); symbols of source k have the power ``snr[k]``.
     snr: signal-to-noise power ratio per source at each antenna, shape (K,).
     rician_k: Rician factor κ; inf: pure line of sight.
     gospa_cutoff_m: cutoff distance c [m] of the score ``gospa_m``.
     frame: coordinates in which the array and the estimates are described.
+    further: frequency bins of wideband data besides that of Y.
+    gains: gains with phases of the elements, the diagonal of Γ, shape (M,).
+    coupling: matrix C of mutual coupling, shape (M, M).
+    noise_covariance: covariance of the noise, shape (M, M); None: the noise is white, of unit variance.
+    failed: indices of elements that receive noise only; their rows of H are 0.
+    element_positions: true positions of the elements relative to the nominal origin [m], shape (M, 3).
+    amplitude: amplitude of the line of sight over the array, "constant" or "spherical".
+    correlation: correlation matrix of the symbols, shape (K, K).
     """
 
     Y: Complex[ndarray, "m t"]
@@ -53,6 +66,19 @@ class NearFieldInstance(ArrayInstance):
     rician_k: float
     gospa_cutoff_m: float = 1.0
     frame: Frame = Frame(np.eye(3), np.zeros(3))  # noqa: RUF009  # frozen
+    gains: Complex[ndarray, " m"] | None = None
+    coupling: Complex[ndarray, "m m"] | None = None
+    noise_covariance: Complex[ndarray, "m m"] | None = None
+    failed: tuple[int, ...] = ()
+    element_positions: Float[ndarray, "m 3"] | None = None
+    amplitude: Amplitude = "constant"
+    correlation: Complex[ndarray, "k k"] | None = None
+    further: tuple[Band, ...] = ()
+
+    @property
+    def bands(self) -> tuple[Band, ...]:
+        """The data of all frequency bins, those of Y first; narrowband data have one."""
+        return Band(self.Y, self.manifold, self.H, self.symbols), *self.further
 
     @property
     def sources(self) -> int:
@@ -92,9 +118,9 @@ class NearFieldInstance(ArrayInstance):
     def bounds(self) -> dict[str, float]:
         """Return reference values [m] for the errors of this scene, by column name.
 
-        In pure line of sight these are the Cramér–Rao bounds of the positions. They are inf if the sources cannot be
-        distinguished. They do not take the box into account: if a bound is comparable with the size of the box, an
-        estimate within the box can have a smaller error.
+        In pure line of sight these are the Cramér–Rao bounds of the positions, given the data of all frequency bins.
+        They are inf if the sources cannot be distinguished. They do not take the box into account: if a bound is
+        comparable with the size of the box, an estimate within the box can have a smaller error.
 
         crb_m: root mean square of the stochastic bounds over the sources.
         crb_deterministic_m: root mean square of the deterministic bounds, for the symbols that were sent.
@@ -107,17 +133,24 @@ class NearFieldInstance(ArrayInstance):
         floor_m: root mean square error of a least-squares fit to data without noise, started at the true sources. This
             is not a bound, but the error that remains even at infinite SNR.
 
+        All bounds are those of an estimator that knows the impairments of the array: its gains and phases, coupling,
+        true positions, failed elements, amplitudes and the covariance of the noise. The correlation of the sources is
+        unknown. An estimator that does not know an impairment can only be worse, unless it is biased.
+
         With a planar wavefront, from which the range cannot be estimated, there are no columns.
         """
         if self.manifold.wavefront == "planar":
             return {}
         if math.isfinite(self.rician_k):
-            columns = noise_free_columns(self.H, self.symbols)
-            fitted = local_fit(columns, self.manifold, self.theta, self.lower, self.upper)
+            if self.further:
+                fitted = floor_of_bands(self.bands, self.theta, self.lower, self.upper)
+            else:
+                columns = noise_free_columns(self.H, self.symbols)
+                fitted = local_fit(columns, self.manifold, self.theta, self.lower, self.upper)
             errors = np.linalg.norm(cartesian(fitted) - cartesian(self.theta), axis=1)
             return {"floor_m": _root_mean_square(errors)}
-        stochastic = stochastic_bound(self.manifold, self.theta, self.snr, self.symbols.shape[1])
-        deterministic = deterministic_bound(self.manifold, self.theta, self.symbols)
+        bands = true_bands(self, self.amplitude)
+        stochastic, deterministic = bounds_of_bands(bands, self.theta, self.snr, self.correlation)
         per_source = position_bounds(stochastic, self.theta)
         return {
             "crb_m": _root_mean_square(per_source),

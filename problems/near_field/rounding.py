@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float
@@ -61,7 +62,7 @@ def magnitudes(manifold: Manifold, theta: Float[ndarray, "k d"]) -> Float[ndarra
     by_s, by_r = (
         np.abs(slope) for slope in kernels.advance_slopes(kernels.WAVEFRONTS[manifold.wavefront], s, r[:, 0], w)
     )
-    terms = np.empty((*theta.shape, manifold.elements))
+    terms = np.empty((*theta.shape, len(Q)))
     terms[:, :-1] = (by_s * np.sqrt(w))[:, None]
     terms[:, 0] = by_s * np.hypot(Q[:, 0], Q[:, 1])  # the azimuth turns about the z axis
     terms[:, -1] = by_r
@@ -76,6 +77,10 @@ def magnitudes(manifold: Manifold, theta: Float[ndarray, "k d"]) -> Float[ndarra
             terms[:, -1] = np.where(near, r / d, terms[:, -1])
     if theta.shape[1] == 3:
         terms[:, 0] *= np.cos(theta[:, 1:2])  # exact, also at the poles
+    if not manifold.has_unit_modulus:  # |W|·(ρ ⊙ terms), which the sums with weights do not exceed
+        terms *= np.abs(replace(manifold, weights=None).response(theta))[:, None]
+        W = np.ones(1) if manifold.weights is None else np.abs(manifold.weights)
+        terms = terms @ W.T if W.ndim == 2 else terms * W
     norms: ndarray = 2 * math.pi / manifold.wavelength_m * np.linalg.norm(terms, axis=2)
     return norms
 

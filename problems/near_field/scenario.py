@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Annotated, Any, ClassVar, Literal, TypeAlias, final
 
 import numpy as np
@@ -15,10 +15,12 @@ from nfbench import Ge, Gt, Instance, Le, Lt, OneOf, OptionError, Scenario, Surv
 
 from .arrays import AnyArray, unusual
 from .arrays.survey import survey
+from .bands import Band, spread_bins
 from .carrier import Frequency, Speed, Wavelength, carrier_problems, carrier_wavelength
 from .channels import IID, ClusterAroundSource, Clusters, Isotropic, NLoS, complex_normal, rician
 from .fixed_sources import cartesian_problems, cartesian_sources, spherical_problems, spherical_sources
 from .geometry import ambiguity
+from .impairments import Drawn, Impairments, mixing_matrix
 from .instance import NearFieldInstance
 from .objectives import kernels
 from .placement import has_room, place_sources
@@ -31,6 +33,7 @@ _Decibels: TypeAlias = Annotated[float, Ge(-300.0), Le(300.0)]
 
 MAX_NUMBERS = 10**8  # in one array of a draw, 1.6 GB
 MAX_SOURCES = 1000
+MAX_BINS = 1000
 BEYOND = 0.6  # share of the interval of ranges that may lie beyond the Fraunhofer distance
 FLAT = 0.02  # deviation from a line or plane [wavelengths, root mean square] that phases do not show
 
@@ -70,6 +73,13 @@ class NearField(Scenario):
         which the array is described, those of the element positions for kinds "custom" and "panels"; for the other
         kinds, x is the broadside, and the origin is the point from which ranges are measured. None: ``positions`` is
         used, or sources are drawn at random.
+    bins: number of frequency bins. The array and the positions are the same in all of them; symbols, noise and
+        scattered waves are independent, with the SNR as stated in each bin.
+    bandwidth_relative: distance between the outermost bins as a multiple of the carrier frequency, which belongs to the
+        wavelength λ and lies in their middle; the others divide it into equal parts. It has no effect on one bin, which
+        is the carrier.
+    impairments: table that describes how the array and its sources differ from the model that estimators assume: gain,
+        phase and position errors, failed elements, mutual coupling, coloured noise, correlated sources.
     gospa_cutoff_m: cutoff distance c [m] of the score ``gospa_m``; an estimate farther away counts as a missed source
         and a false estimate.
     """
@@ -93,6 +103,9 @@ class NearField(Scenario):
     min_separation_deg: Annotated[float, Ge(0.0), Le(180.0)] = 0.0
     positions: tuple[tuple[_Finite, ...], ...] | None = None
     positions_m: tuple[tuple[_Finite, _Finite, _Finite], ...] | None = None
+    bins: Annotated[int, Ge(1), Le(MAX_BINS)] = 1
+    bandwidth_relative: Annotated[float, Ge(0.0), Le(1.9)] = 0.0
+    impairments: Impairments = Impairments()  # noqa: RUF009  # frozen
     gospa_cutoff_m: Annotated[float, Gt(0.0), Le(1e9)] = 1.0
 
     def validate(self) -> None:
@@ -111,6 +124,8 @@ class NearField(Scenario):
             problems.append(("snr_db", text))
         if math.isfinite(self.rician_k) and self.fading is None:
             problems.append(("fading", f'expected "block" or "snapshot" for rician_k = {self.rician_k:g}, got none'))
+        for path, text in self.impairments.problems(elements, self.sources, self.wavefront):
+            problems.append((f"impairments.{path}", text))
         if not problems:
             problems += self.array.misplaced(self.wavelength) or self._misplaced()
         if self.positions is self.positions_m is None and not problems:
@@ -134,6 +149,8 @@ class NearField(Scenario):
         if self.fading == "snapshot":
             sizes[f"snapshots × elements × sources = {T:,} × {M:,} × {K:,}"] = ("snapshots", T * M * K)
             sizes[f"the gains of the scattered waves in {T:,} snapshots"] = ("snapshots", T * waves // M)
+        if self.bins > 1:
+            sizes[f"bins × snapshots × elements = {self.bins:,} × {T:,} × {M:,}"] = ("bins", self.bins * T * M)
         text, (name, size) = max(sizes.items(), key=lambda item: item[1][1])
         if size <= MAX_NUMBERS:
             return []
@@ -152,9 +169,17 @@ class NearField(Scenario):
         return survey(options)
 
     def manifold(self) -> Manifold:
-        """Return the array and the wavefront model with which the data are generated."""
-        has_elevation = self.elevation_deg is not None
-        return Manifold(self.array.place(self.wavelength), self.wavelength, self.wavefront, has_elevation)
+        """Return the array and the wavefront model with which the data of the carrier are generated.
+
+        If no bin is at the carrier, they are those of the nearest bin.
+        """
+        return self.manifolds()[0]
+
+    def manifolds(self) -> list[Manifold]:
+        """Return the same for each bin, the nearest to the carrier first; the array is placed at the carrier."""
+        Q, has_elevation = self.array.place(self.wavelength), self.elevation_deg is not None
+        ratios = spread_bins(self.bins, self.bandwidth_relative)
+        return [Manifold(Q, self.wavelength / ratio, self.wavefront, has_elevation) for ratio in ratios]
 
     def warnings(self) -> list[str]:
         """Return sentences about units and geometry that are probably not what was meant."""
@@ -165,6 +190,7 @@ class NearField(Scenario):
             *self._in_radians(),
             *self._too_far(),
             *self.nlos.warnings(),
+            *self.impairments.warnings(),
         ]
 
     def _two_sides(self) -> list[str]:
@@ -218,29 +244,69 @@ class NearField(Scenario):
         ]
 
     def draw(self, rng: np.random.Generator) -> NearFieldInstance:
-        """Draw positions, fading, symbols and noise, each from its own child of ``rng``, spawned in this order.
+        """Draw positions, fading, symbols, noise and impairments, each from its own child of ``rng``, in this order.
 
         Each source has its own generators for its position, scattered waves and symbols, and each element one for its
         noise. The same seed therefore gives the same scene at every SNR, Rician factor, array and wavefront: K sources
         are the first K of K + 1, M elements have the noise of the first M of M + 1, and T snapshots are the first T of
-        T + 1. Raises ValueError if no placement is found whose sources are ``min_separation_deg`` apart.
+        T + 1. Each bin but the first, which is the nearest to the carrier, has its own generators, and the first bins
+        of a scene do not depend on their number. Raises ValueError if no placement is found whose sources are
+        ``min_separation_deg`` apart.
         """
         self.warm_up()  # so that no measured time includes the compilation
-        for_positions, for_fading, for_symbols, for_noise = rng.spawn(4)
+        for_positions, for_fading, for_symbols, for_noise, for_impairments, for_bins = rng.spawn(6)
         lower, upper = self.box()
         theta = self._place_sources(for_positions, lower, upper)
-        manifold = self.manifold()
-        draws = self.snapshots if self.fading == "snapshot" else 1
-        G = self.nlos.draw(for_fading, draws, manifold, theta, lower, upper)
-        H = rician(manifold.response(theta).T, G, self.rician_k)
         snr = 10.0 ** (np.broadcast_to(self.snr_db, self.sources) / 10)
-        symbols = np.sqrt(snr)[:, None] * _rows(for_symbols, self.sources, self.snapshots)
-        N = _rows(for_noise, manifold.elements, self.snapshots)
-        Y = np.einsum("tmk,kt->mt", np.broadcast_to(H, (self.snapshots, *H.shape[1:])), symbols) + N
-        frame = self.array.frame(self.wavelength)
+        first, *others = self.manifolds()
+        array = self.impairments.draw(for_impairments, first)
+        Y, _, H, symbols = self._receive((for_fading, for_symbols, for_noise), first, array, theta, snr)
+        streams = [own.spawn(3) for own in for_bins.spawn(len(others))]
+        further = [self._receive(own, at, array, theta, snr) for own, at in zip(streams, others, strict=True)]
+        correlation = self.impairments.correlation(self.sources)
         return NearFieldInstance(
-            Y, theta, manifold, lower, upper, H, symbols, snr, self.rician_k, self.gospa_cutoff_m, frame
+            Y,
+            theta,
+            first,
+            lower,
+            upper,
+            H,
+            symbols,
+            snr,
+            self.rician_k,
+            self.gospa_cutoff_m,
+            self.array.frame(self.wavelength),
+            gains=array.gains,
+            coupling=array.coupling,
+            noise_covariance=array.noise_covariance,
+            failed=array.failed,
+            element_positions=array.positions,
+            amplitude=array.amplitude,
+            correlation=None if mixing_matrix(correlation) is None else correlation,
+            further=tuple(Band(*each) for each in further),
         )
+
+    def _receive(
+        self,
+        streams: Sequence[np.random.Generator],
+        manifold: Manifold,
+        array: Drawn,
+        theta: Float[ndarray, "k d"],
+        snr: Float[ndarray, " k"],
+    ) -> tuple[ndarray, Manifold, ndarray, ndarray]:
+        """Return Y, the manifold, H and the symbols of one bin."""
+        for_fading, for_symbols, for_noise = streams
+        displaced = array.displace(manifold)
+        draws = self.snapshots if self.fading == "snapshot" else 1
+        G = self.nlos.draw(for_fading, draws, displaced, theta, *self.box())
+        A = replace(displaced, amplitude=array.amplitude).response(theta).T
+        H = array.distort(rician(A, G, self.rician_k))
+        uncorrelated = _rows(for_symbols, self.sources, self.snapshots)
+        mixing = mixing_matrix(self.impairments.correlation(self.sources))
+        symbols = np.sqrt(snr)[:, None] * (uncorrelated if mixing is None else mixing @ uncorrelated)
+        N = array.colour(_rows(for_noise, manifold.elements, self.snapshots))
+        Y = np.einsum("tmk,kt->mt", np.broadcast_to(H, (self.snapshots, *H.shape[1:])), symbols) + N
+        return Y, manifold, H, symbols
 
     def box(self) -> tuple[Float[ndarray, " d"], Float[ndarray, " d"]]:
         """Return the lower and upper bounds of one source [rad, m]."""

@@ -232,7 +232,7 @@ def grids(instances: dict[str, NearFieldInstance], shapes: list[tuple[int, ...]]
             return manifold.elements - np.vecdot(b, b).real
 
         start = time.perf_counter()
-        grid_maxima(U_s, manifold, axes, keep=1000)
+        grid_maxima([(U_s, manifold)], axes, keep=1000)
         whole = time.perf_counter() - start
         sampled = [points(first) for first in blocks[::100]]
         calls = [lambda s=sampled: [fast(X) for X in s], lambda s=sampled: [plain(X) for X in s]]

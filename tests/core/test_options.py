@@ -116,6 +116,34 @@ def test_a_file_is_resolved_relative_to_the_manifest(tmp_path):
         Reader("data.csv")
 
 
+def test_a_missing_file_is_looked_for_in_the_folder_that_the_environment_names(tmp_path, monkeypatch):
+    @dataclass(frozen=True)
+    class Reader(Options):
+        file: FilePath
+
+    there, here = tmp_path / "there", tmp_path / "here"
+    for folder in (there, here):
+        folder.mkdir()
+    (there / "data.csv").write_text("1")
+    monkeypatch.setenv("NFBENCH_DATA", str(there))
+    with relative_to(here):
+        assert Reader("data.csv").file == str(there / "data.csv")
+        (here / "data.csv").write_text("2")
+        assert Reader("data.csv").file == str(here / "data.csv")
+        with pytest.raises(OptionError, match=r"no such file: .*there/other\.csv; .*NFBENCH_DATA"):
+            Reader("other.csv")
+
+
+def test_an_option_that_does_not_identify_is_left_out_of_the_identity():
+    @dataclass(frozen=True)
+    class Placed(Options):
+        place: str = field(metadata={"identifies": False})
+        size: int = 1
+
+    assert canonical(Placed("a", 2)) == {"place": "a", "size": 2}
+    assert canonical(Placed("a", 2), defaults=False) == canonical(Placed("b", 2), defaults=False) == {"size": 2}
+
+
 def test_the_classes_of_one_of_may_share_a_base_class():
     @dataclass(frozen=True)
     class Shape(Options): ...

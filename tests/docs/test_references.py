@@ -7,6 +7,7 @@ import pkgutil
 import re
 import sys
 
+import numpy as np
 import pandas as pd
 import pytest
 from conftest import PLUGINS, PROJECT
@@ -132,10 +133,41 @@ target = { gap = 1e-3 }
 text = "The solver fails rarely"
 compare = { fails = "direct + multistart-lbfgsb", at_most = 0.1 }
 """
+RECORDED = """
+name = "columns"
+scenes = 1
+seed = 1
+[scenario]
+kind = "recorded"
+data = "data.npy"
+array = { kind = "ula", elements = 8, spacing_wavelengths = 0.25, origin = "center" }
+wavelength_m = 0.2
+sources = 1
+azimuth_deg = [-60, 60]
+range_m = [0.1, 1.0]
+TRUTH
+[[formulation]]
+kind = "grid-refine"
+[[formulation]]
+kind = "neef"
+[[solver]]
+kind = "random-search"
+[budget]
+evaluations = 50
+[[claim]]
+text = "Random search is worse"
+compare = { better = "grid-refine", worse = "neef + random-search" }
+"""
 
 
-@pytest.mark.parametrize("text", [STUDY, FUNCTIONS], ids=["near-field", "functions"])
+@pytest.mark.parametrize(
+    "text",
+    [STUDY, FUNCTIONS, RECORDED.replace("TRUTH", ""), RECORDED.replace("TRUTH", "truth_m = [[0.5, 0.1, 0.0]]")],
+    ids=["near-field", "functions", "recorded", "recorded with truth"],
+)
 def test_every_column_that_a_study_writes_is_described(text, tmp_path):
+    rng = np.random.default_rng(0)
+    np.save(tmp_path / "data.npy", rng.standard_normal((8, 20)) + 1j * rng.standard_normal((8, 20)))
     (tmp_path / "study.toml").write_text(text)
     results = nfbench.run(nfbench.load_study(tmp_path / "study.toml"), out=tmp_path / "out", jobs=0)
     assert set(results.counts) == {"ok"}

@@ -140,7 +140,10 @@ WRONG = {
     ),
     "no kinds": (
         'name = "a"\nrepetitions = 1\nseed = 1\n[scenario]\nnoise = 1\n[[formulation]]\n[[solver]]\nkind = 3',
-        ["scenario.kind: is required; known: bbob, functions, near-field, toy", "formulation[0].kind: is required;"],
+        [
+            "scenario.kind: is required; known: bbob, functions, measured-responses, near-field, recorded, toy",
+            "formulation[0].kind: is required;",
+        ],
     ),
     "an impossible name": (
         'name = "../../etc"\nrepetitions = 1\nseed = 1\n[scenario]\nkind = "toy"\n[[formulation]]\nkind = "oracle"',
@@ -259,3 +262,25 @@ def test_a_swept_path_through_a_number_is_an_unknown_option(manifest):
     path = manifest(BASIC + "[sweep]\n'noise.floor' = [1]\n", scenario="noise = 0.5")
     (problem,) = problems(path)
     assert problem.startswith("sweep.noise.floor[0]: unknown option")
+
+
+def test_points_that_are_ranked_by_different_scores_are_refused(manifest, tmp_path):
+    plugin = tmp_path / "blind.py"
+    plugin.write_text(
+        "from dataclasses import dataclass\nfrom typing import ClassVar\nfrom nfbench import Instance, Scenario\n"
+        "from nfbench.problems.functions import FunctionInstance\n"
+        "@dataclass(frozen=True)\nclass Blind(Scenario):\n"
+        '    """Ranked by another score.\n\n    seeing: whether.\n    """\n'
+        '    name: ClassVar[str] = "blind"\n    instance: ClassVar[type[Instance]] = FunctionInstance\n'
+        "    seeing: bool = True\n"
+        '    def ranked_by(self):\n        return "rmse_m" if self.seeing else "misfit"\n'
+        "    def draw(self, rng):\n        raise NotImplementedError\n"
+    )
+    text = (
+        '[sweep]\nseeing = {}\n[[formulation]]\nkind = "direct"\n[[solver]]\nkind = "de"\n[budget]\nevaluations = 100\n'
+    )
+    path = manifest(text.format("[true, false]"), plugins=[plugin])
+    path.write_text(path.read_text().replace('kind = "toy"', 'kind = "blind"'))
+    assert "sweep: expected points with one measure of the error, got rmse_m, misfit" in problems(path)
+    path.write_text(path.read_text().replace("[true, false]", "[false]"))
+    assert load_study(path).error == "misfit"

@@ -56,21 +56,27 @@ class Panel(Options):
 class Panels(Options, Array):
     """An array of several panels, whose elements are numbered panel by panel.
 
-    All positions and directions of the panels are given in one coordinate system, whose x axis is the broadside of the
-    whole array, and whose z axis points upwards.
+    All positions and directions are given in one coordinate system.
 
     panels: list of tables with ``array`` (any other kind of array), ``position_m`` (position [x, y, z] of the panel's
         origin [m]), ``broadside`` (direction in front of the panel, as for kind "custom"; "+x" if left out) and ``up``
         (direction upwards of the panel; "+z" if left out).
     origin: point from which range and angles are measured: "first" (first element of the first panel) or "center"
         (centroid of all elements).
+    broadside: direction in front of the whole array, where azimuth and elevation are 0: "+x", "-x", "+y", "-y", "+z",
+        "-z", or a vector [x, y, z]; None: "+x".
+    up: direction upwards, towards which elevations are positive, given like ``broadside``; its part along the broadside
+        is ignored. None: "+z", or "+y" if the broadside is along z.
     """
 
     kind: ClassVar[str] = "panels"
     panels: tuple[Panel, ...]
     origin: Origin
+    broadside: Axis | None = None
+    up: Axis | None = None
 
     def validate(self) -> None:
+        axes_of(self.broadside, self.up, type(self).__name__)
         text = ""
         if not 1 <= len(self.panels) <= MAX_PANELS:
             text = f"expected 1 to {MAX_PANELS:,} panels, got {len(self.panels):,}"
@@ -92,7 +98,9 @@ class Panels(Options, Array):
 
     def frame(self, wavelength_m: float) -> Frame:
         Q = self._placed(wavelength_m)
-        return Frame(np.eye(3), Q[0] if self.origin == "first" else Q.mean(axis=0))
+        return Frame(
+            axes_of(self.broadside, self.up, type(self).__name__), Q[0] if self.origin == "first" else Q.mean(axis=0)
+        )
 
     def misplaced(self, wavelength_m: float) -> list[tuple[str, str]]:
         Q = self._placed(wavelength_m)

@@ -12,14 +12,15 @@ from numpy import ndarray
 from nfbench import Formulation, Ge, Instance, Lt, Minimize, Reference
 
 from ..array_instance import ArrayInstance
+from ..calibration import calibrated
 from ..enumeration import Criterion, Sources, how_many
 from ..objectives import kernels_conditional
-from ..objectives.conditional_fit import ConditionalFit
-from ..objectives.factors import Objective, factor
+from ..objectives.factors import Objective, factors
+from ..search import BandFit
 from ..search import warm_up as warm_up_search
-from ..wavefronts import Wavefront
+from ..wavefronts import Amplitude, Wavefront
 from .certified import certified_first_source
-from .relaxation import TOLERANCE, place, relax
+from .relaxation import TOLERANCE, given, place, relax
 
 __all__ = ["AlternatingProjection"]
 
@@ -40,7 +41,7 @@ class AlternatingProjection(Formulation):
     Each search is one problem with as many unknowns as one source has, for any solver, with the whole budget: K
     problems for the start and K more in each sweep. A source keeps its position if a search finds nothing better, so
     the objective never rises. The result is a minimum in each source given the others, which need not be the global
-    minimum over all of them.
+    minimum over all of them. For several frequency bins the objective is the sum of theirs, as in ``neef``.
 
     objective: "wsf" is weighted subspace fitting, in which each signal eigenvector is weighted by (λ_i − σ̂²)/√λ_i
         (Viberg & Ottersten 1991); "esf" gives them equal weights, as NEEF does; "dml" is deterministic maximum
@@ -55,6 +56,12 @@ class AlternatingProjection(Formulation):
         ``criterion``, and an integer is used as given, even if it is wrong.
     criterion: criterion by which the number of sources is estimated: "aic", "mdl" or "ne" (Nadakuditi & Edelman); used
         only if ``sources`` is "estimate".
+    known_gains: whether the estimator knows the gains and phases of the elements.
+    known_coupling: whether the estimator knows the mutual coupling of the elements.
+    known_noise: whether the estimator knows the covariance of the noise, and whitens the data with it.
+    known_failed: whether the estimator knows which elements have failed, and leaves them out.
+    known_positions: whether the estimator knows the true positions of the elements.
+    amplitude: amplitude over the array that the estimator assumes, "constant", or "spherical", which is r/‖p − q_m‖.
     """
 
     accepts: ClassVar[type[Instance]] = ArrayInstance  # type: ignore[type-abstract]  # any subclass
@@ -66,6 +73,12 @@ class AlternatingProjection(Formulation):
     wavefront: Wavefront | None = None
     sources: Sources = "known"
     criterion: Criterion = "ne"
+    known_gains: bool = False
+    known_coupling: bool = False
+    known_noise: bool = False
+    known_failed: bool = False
+    known_positions: bool = False
+    amplitude: Amplitude = "constant"
 
     def warm_up(self) -> None:
         kernels_conditional.warm_up()
@@ -74,15 +87,18 @@ class AlternatingProjection(Formulation):
 
     def estimates(self, instance: ArrayInstance, X: Float[ndarray, "r n"]) -> Float[ndarray, "r 1 d"] | None:
         """Return the estimates of a search for one source that is not refined; otherwise None."""
-        single = how_many(instance, self.sources, self.criterion) == 1
+        single = how_many(instance, self.sources, self.criterion, self) == 1
         return X[:, None] if single and not self.refine else None
 
     def reference(self, instance: ArrayInstance) -> Reference | None:
-        """Return the certified minimum of the first problem, the fit of one source, to a stated gap."""
-        K = how_many(instance, self.sources, self.criterion)
-        if K == 0:
+        """Return the certified minimum of the first problem, the fit of one source, to a stated gap.
+
+        None for several frequency bins, for which no proof is known.
+        """
+        K = how_many(instance, self.sources, self.criterion, self)
+        if K == 0 or len(instance.bands) > 1:
             return None
-        F, manifold = factor(instance.Y, K, self.objective), instance.manifold.under(self.wavefront)
+        F, manifold = self._fits(instance, K)[0]
         return certified_first_source(F, manifold, instance.lower, instance.upper)
 
     def solve(self, instance: ArrayInstance, minimize: Minimize) -> Float[ndarray, "k d"]:
@@ -90,15 +106,19 @@ class AlternatingProjection(Formulation):
 
         Raises Incompatible if there are fewer snapshots than sources, unless the objective is "dml".
         """
-        K = how_many(instance, self.sources, self.criterion)
-        manifold, box = instance.manifold.under(self.wavefront), (instance.lower, instance.upper)
-        theta = np.empty((0, manifold.dimension))
+        K = how_many(instance, self.sources, self.criterion, self)
+        box = instance.lower, instance.upper
+        theta = np.empty((0, instance.manifold.dimension))
         if K == 0:
             return theta
-        F = factor(instance.Y, K, self.objective)
+        fits = self._fits(instance, K)
         for _ in range(K):
-            problem = ConditionalFit(F, manifold, *box, theta)
+            problem = given(fits, *box, theta)
             theta = np.vstack([theta, place(problem, minimize, refining=self.refine)[0]])
-        return relax(
-            F, manifold, *box, theta, minimize, sweeps=self.sweeps, tolerance=self.tolerance, refining=self.refine
-        )
+        return relax(fits, *box, theta, minimize, sweeps=self.sweeps, tolerance=self.tolerance, refining=self.refine)
+
+    def _fits(self, instance: ArrayInstance, K: int) -> list[BandFit]:
+        """Return what is fitted in each frequency bin."""
+        bands = calibrated(instance, self)
+        fitted = factors([band.Y for band in bands], K, self.objective)
+        return [BandFit(F, band.manifold) for F, band in zip(fitted, bands, strict=True)]

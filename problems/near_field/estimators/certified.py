@@ -13,11 +13,13 @@ from nfbench import Formulation, Incompatible, Instance, Minimize, Reference, So
 
 from .. import search
 from ..array_instance import ArrayInstance
+from ..bands import one_band
+from ..calibration import calibrated
 from ..certificate import Certificate, certify, certify_one_source, unproven
 from ..certificate import warm_up as warm_up_certificate
 from ..enumeration import Criterion, Sources, how_many
 from ..subspace import decompose
-from ..wavefronts import Manifold, Wavefront
+from ..wavefronts import Amplitude, Manifold, Wavefront
 
 __all__ = ["Certified", "certified_first_source", "certified_minimum"]
 
@@ -52,6 +54,12 @@ class Certified(Formulation):
         ``criterion``, and an integer is used as given, even if it is wrong.
     criterion: criterion by which the number of sources is estimated: "aic", "mdl" or "ne" (Nadakuditi & Edelman); used
         only if ``sources`` is "estimate".
+    known_gains: whether the estimator knows the gains and phases of the elements.
+    known_coupling: whether the estimator knows the mutual coupling of the elements.
+    known_noise: whether the estimator knows the covariance of the noise, and whitens the data with it.
+    known_failed: whether the estimator knows which elements have failed, and leaves them out.
+    known_positions: whether the estimator knows the true positions of the elements.
+    amplitude: amplitude over the array that the estimator assumes, "constant", or "spherical", which is r/‖p − q_m‖.
     """
 
     accepts: ClassVar[type[Instance]] = ArrayInstance  # type: ignore[type-abstract]  # any subclass
@@ -60,6 +68,12 @@ class Certified(Formulation):
     wavefront: Wavefront | None = None
     sources: Sources = "known"
     criterion: Criterion = "ne"
+    known_gains: bool = False
+    known_coupling: bool = False
+    known_noise: bool = False
+    known_failed: bool = False
+    known_positions: bool = False
+    amplitude: Amplitude = "constant"
 
     def warm_up(self) -> None:
         search.warm_up()
@@ -68,13 +82,15 @@ class Certified(Formulation):
     def solve(self, instance: ArrayInstance, minimize: Minimize) -> Solution:
         """Return the sources (K, d) [rad, m] with the columns above.
 
-        Raises Incompatible if there are fewer snapshots than sources, or if the wavefront is planar.
+        Raises Incompatible if there are fewer snapshots than sources, if the wavefront is planar, or if there are
+        several frequency bins.
         """
-        K = how_many(instance, self.sources, self.criterion)
+        one_band(instance.bands, "certified", "as the proofs hold for one wavelength")
+        K = how_many(instance, self.sources, self.criterion, self)
         if K == 0:
             return Solution(np.empty((0, instance.manifold.dimension)))
-        manifold, box = instance.manifold.under(self.wavefront), (instance.lower, instance.upper)
-        U_s, eigenvalues, noise = decompose(instance.Y, K)
+        (Y, manifold), box = calibrated(instance, self)[0].received, (instance.lower, instance.upper)
+        U_s, eigenvalues, noise = decompose(Y, K)
         found = certified_minimum(U_s, manifold, *box)
         deviation, excess = np.sqrt(eigenvalues), eigenvalues - noise
         spread = U_s * np.divide(deviation, excess, out=np.full(K, np.nan), where=excess > 0)
@@ -97,6 +113,11 @@ def certified_minimum(
     Where the proof fails, the search is repeated once on a finer grid, in case it had not found the minimum. Raises
     Incompatible if the wavefront is planar.
     """
+    if not manifold.has_unit_modulus:
+        raise Incompatible(
+            "known_gains, known_coupling, known_noise, amplitude: expected responses of modulus 1, for which the proof "
+            "holds, got others; known phases, positions and failed elements are allowed"
+        )
     if manifold.wavefront == "planar":
         raise Incompatible("wavefront: expected one in which the range has an effect, got planar")
     best: Certificate | None = None
@@ -118,11 +139,15 @@ def certified_minimum(
 
 def certified_first_source(
     L: Complex[ndarray, "m c"], manifold: Manifold, lower: Float[ndarray, " d"], upper: Float[ndarray, " d"]
-) -> Reference:
+) -> Reference | None:
     """Return the proven optimum of RLS over one source, of the data or of any factor of them, to a stated gap.
+
+    None if responses have another modulus than 1, for which no proof is known.
 
     Raises Incompatible where no bound of the phases is known.
     """
+    if not manifold.has_unit_modulus:
+        return None
     grid = search.response_grid(manifold, lower, upper, DENSITIES[-1])
     theta = search.search_greedily(L, grid, 1, SWEEPS).x
     best = certify_one_source(L, manifold, lower, upper, theta, GAP)

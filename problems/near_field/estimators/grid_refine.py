@@ -13,12 +13,24 @@ from numpy import ndarray
 from nfbench import Formulation, Ge, Gt, Instance, Le, Minimize, Solution
 
 from ..array_instance import ArrayInstance, ArrayScenario
+from ..bands import Band
+from ..calibration import calibrated
 from ..enumeration import Criterion, Sources, how_many
-from ..objectives.factors import Objective, factor
-from ..search import grid_size, response_grid, search_greedily, standard_errors
+from ..objectives.factors import Objective, factor, noise_weights
+from ..objectives.subspace_fitting import SubspaceFit
+from ..search import (
+    BandFit,
+    covariance_of_bands,
+    error_columns,
+    grid_size,
+    response_grid,
+    search_bands_greedily,
+    search_greedily,
+    standard_errors,
+)
 from ..search import warm_up as warm_up_search
 from ..subspace import decompose
-from ..wavefronts import Wavefront
+from ..wavefronts import Amplitude, Wavefront
 from .music import SLOW_S, search_s
 
 __all__ = ["GridRefine"]
@@ -37,6 +49,8 @@ class GridRefine(Formulation):
     alternating projection (Ziskind & Wax 1988), each source in turn is chosen again given the others and all are
     refined again, until a sweep over the sources brings no improvement.
 
+    For several frequency bins the misfit is the sum of theirs, weighted as in ``neef``.
+
     The standard errors of the estimates are stored in the columns std_1_m, std_2_m, … and std_m. They come from the
     curvature of J at the minimum, and assume pure line of sight and white noise.
 
@@ -51,6 +65,12 @@ class GridRefine(Formulation):
     objective: misfit that is minimized: "esf" gives all eigenvectors of the signal subspace the same weight, "wsf" the
         weights that attain the stochastic bound (Viberg & Ottersten 1991), and "dml" is deterministic maximum
         likelihood, which also works with fewer snapshots than sources.
+    known_gains: whether the estimator knows the gains and phases of the elements.
+    known_coupling: whether the estimator knows the mutual coupling of the elements.
+    known_noise: whether the estimator knows the covariance of the noise, and whitens the data with it.
+    known_failed: whether the estimator knows which elements have failed, and leaves them out.
+    known_positions: whether the estimator knows the true positions of the elements.
+    amplitude: amplitude over the array that the estimator assumes, "constant", or "spherical", which is r/‖p − q_m‖.
     """
 
     accepts: ClassVar[type[Instance]] = ArrayInstance  # type: ignore[type-abstract]  # any subclass
@@ -62,6 +82,12 @@ class GridRefine(Formulation):
     sources: Sources = "known"
     criterion: Criterion = "ne"
     objective: Objective = "esf"
+    known_gains: bool = False
+    known_coupling: bool = False
+    known_noise: bool = False
+    known_failed: bool = False
+    known_positions: bool = False
+    amplitude: Amplitude = "constant"
 
     def warm_up(self) -> None:
         warm_up_search()
@@ -70,7 +96,7 @@ class GridRefine(Formulation):
         counts = grid_size(scenario.manifold(), *scenario.box(), self.density)
         M, K, points = scenario.array.count, scenario.sources, math.prod(counts)
         passes = K + min(self.sweeps, 2)  # over the grid: one per source, and one per sweep
-        seconds = search_s(points, M, 2) * passes
+        seconds = search_s(points, M, 2) * passes * scenario.bins
         size = f"{' × '.join(map(str, counts))} points"
         if points > MANY:
             return [f"density: {self.density:g} gives a grid of about {size}, which may not fit in memory; reduce it"]
@@ -84,17 +110,43 @@ class GridRefine(Formulation):
 
         Raises Incompatible if there are fewer snapshots than sources, except with the objective "dml".
         """
-        K = how_many(instance, self.sources, self.criterion)
+        K = how_many(instance, self.sources, self.criterion, self)
         if K == 0:
             return Solution(np.empty((0, instance.manifold.dimension)))
-        grid = response_grid(instance.manifold.under(self.wavefront), instance.lower, instance.upper, self.density)
-        T = instance.Y.shape[1]
-        F, spread, noise = _factors(instance.Y, K, self.objective)
+        bands = calibrated(instance, self)
+        if len(bands) > 1:
+            return self._solve_bands(bands, instance, K)
+        Y, manifold = bands[0].Y, bands[0].manifold
+        grid = response_grid(manifold, instance.lower, instance.upper, self.density)
+        T = Y.shape[1]
+        F, spread, noise = _factors(Y, K, self.objective)
         found = search_greedily(F, grid, K, self.sweeps)
         if noise is None:
             noise = found.value / max(len(F) - K, 1)
         theta, box = found.x.reshape(K, -1), (grid.lower, grid.upper)
         return Solution(theta, standard_errors(theta, grid.manifold, *box, F, noise, T, spread))
+
+    def _solve_bands(self, bands: list[Band], instance: ArrayInstance, K: int) -> Solution:
+        """Return the minimizer of the sum of the misfits of several frequency bins."""
+        found = [_factors(band.Y, K, self.objective) for band in bands]
+        weights = [1.0] * len(bands) if self.objective == "esf" else noise_weights([band.Y for band in bands], K)
+        fits = [
+            BandFit(math.sqrt(weight) * F, band.manifold)
+            for weight, (F, _, _), band in zip(weights, found, bands, strict=True)
+        ]
+        box = instance.lower, instance.upper
+        best = search_bands_greedily(fits, *box, K, self.density, self.sweeps)
+        theta = best.x.reshape(K, -1)
+        spreads = [weight * (F if G is None else G) for weight, (F, G, _) in zip(weights, found, strict=True)]
+        noise = [
+            SubspaceFit(*fit, *box, sources=K).value(best.x) / weight / max(len(fit.F) - K, 1)
+            if sigma is None
+            else sigma
+            for weight, fit, (_, _, sigma) in zip(weights, fits, found, strict=True)
+        ]
+        variances = [sigma / (2 * band.Y.shape[1]) for sigma, band in zip(noise, bands, strict=True)]
+        C = covariance_of_bands(theta, fits, *box, variances, spreads)
+        return Solution(theta, error_columns(C, theta, *box))
 
 
 def _factors(

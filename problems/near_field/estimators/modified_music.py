@@ -13,10 +13,12 @@ from scipy.linalg import hankel, toeplitz
 from nfbench import Formulation, Incompatible, Instance, Minimize
 
 from ..array_instance import ArrayInstance, ArrayScenario
+from ..bands import one_band
+from ..calibration import calibrated
 from ..enumeration import Criterion, Sources, how_many
 from ..objectives.rls import RLS
 from ..subspace import signal_subspace
-from ..wavefronts import Manifold, Wavefront
+from ..wavefronts import Amplitude, Manifold, Wavefront
 from .music import SLOW_S, Grid, grid_maxima, search_s
 from .refinement import refine
 
@@ -41,6 +43,12 @@ class ModifiedMusic(Formulation):
         ``criterion``, and an integer is used as given, even if it is wrong.
     criterion: criterion by which the number of sources is estimated: "aic", "mdl" or "ne" (Nadakuditi & Edelman); used
         only if ``sources`` is "estimate".
+    known_gains: whether the estimator knows the gains and phases of the elements.
+    known_coupling: whether the estimator knows the mutual coupling of the elements.
+    known_noise: whether the estimator knows the covariance of the noise, and whitens the data with it.
+    known_failed: whether the estimator knows which elements have failed, and leaves them out.
+    known_positions: whether the estimator knows the true positions of the elements.
+    amplitude: amplitude over the array that the estimator assumes, "constant", or "spherical", which is r/‖p − q_m‖.
     """
 
     accepts: ClassVar[type[Instance]] = ArrayInstance  # type: ignore[type-abstract]  # any subclass
@@ -51,6 +59,12 @@ class ModifiedMusic(Formulation):
     wavefront: Wavefront | None = None
     sources: Sources = "known"
     criterion: Criterion = "ne"
+    known_gains: bool = False
+    known_coupling: bool = False
+    known_noise: bool = False
+    known_failed: bool = False
+    known_positions: bool = False
+    amplitude: Amplitude = "constant"
 
     def warnings(self, scenario: ArrayScenario) -> list[str]:
         azimuths, ranges = self.grid.counts(2)
@@ -65,28 +79,30 @@ class ModifiedMusic(Formulation):
         """Return the sources (K, 2) [rad, m], the highest peak in angle first; fewer if there are fewer peaks.
 
         Raises Incompatible if the scenario has elevation, if the array is not a centred ULA along y with a spacing
-        below λ/(4·sinφ_max), if it has 2K elements or fewer, or if there are fewer snapshots than sources.
+        below λ/(4·sinφ_max), if it has 2K elements or fewer, if there are fewer snapshots than sources, or if there are
+        several frequency bins.
         """
-        K, M = how_many(instance, self.sources, self.criterion), len(instance.Y)
-        spacing = _spacing(instance)
+        one_band(instance.bands, "modified-music", "as the statistics of the angles are those of one wavelength")
+        Y, manifold = calibrated(instance, self)[0].received
+        K, M = how_many(instance, self.sources, self.criterion, self), len(Y)
+        spacing = _spacing(instance, manifold)
         if K == 0:
             return np.empty((0, 2))
         if M <= 2 * K:
             raise Incompatible(f"array: expected more than {2 * K} elements for {K} sources, got {M}")
-        U_s = signal_subspace(instance.Y, K)
+        U_s = signal_subspace(Y, K)
         azimuths, ranges = self.grid.axes(instance.lower, instance.upper)
 
-        U_z = _angle_subspace(instance.Y, K)
+        U_z = _angle_subspace(Y, K)
         positions = np.zeros((len(U_z), 3))
         positions[:, 1] = 2 * spacing * np.arange(len(U_z))
         # b_i = exp(j2kδ·i·sinφ)
         far = Manifold(positions, instance.manifold.wavelength_m, "planar", has_elevation=False)
-        estimate = grid_maxima(U_z, far, [azimuths, ranges[:1]], K)
+        estimate = grid_maxima([(U_z, far)], [azimuths, ranges[:1]], K)
         if self.refine:
             angles = RLS(U_z, far, instance.lower, instance.upper)  # minimal where 1/(L − ‖U_zᴴb‖²) is maximal
             estimate = np.array([refine(angles, theta, far) for theta in estimate])
 
-        manifold = instance.manifold.under(self.wavefront)
         for theta in estimate:
             line = np.stack([np.full_like(ranges, theta[0]), ranges], axis=1)
             spectrum = RLS(U_s, manifold, line[0], line[-1])
@@ -96,11 +112,16 @@ class ModifiedMusic(Formulation):
         return estimate
 
 
-def _spacing(instance: ArrayInstance) -> float:
+def _spacing(instance: ArrayInstance, manifold: Manifold) -> float:
     """Return the spacing δ of the elements along y [m]; raises Incompatible if the method does not apply."""
     if instance.manifold.has_elevation:
         raise Incompatible("elevation_deg: expected none, as modified MUSIC works in the plane only, got an interval")
-    Q, wavelength = instance.manifold.positions, instance.manifold.wavelength_m
+    if not manifold.has_unit_modulus:
+        raise Incompatible(
+            "known_gains, known_coupling, known_noise: expected phases only for modified MUSIC, whose anti-diagonal "
+            "needs responses of modulus 1 in white noise, got more; leave these options out"
+        )
+    Q, wavelength = manifold.positions, instance.manifold.wavelength_m
     steps = np.diff(Q, axis=0)
     spacing = float(steps[:, 1].mean())
     if not np.allclose(steps, [0.0, spacing, 0.0], rtol=0, atol=1e-6 * wavelength):

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Annotated, ClassVar, TypeAlias, final
 
 import numpy as np
@@ -14,18 +16,21 @@ from scipy.ndimage import label, maximum_filter
 from nfbench import Formulation, Ge, Incompatible, Instance, Le, Minimize, Options
 
 from ..array_instance import ArrayInstance, ArrayScenario
+from ..calibration import calibrated
 from ..enumeration import Criterion, Sources, how_many
 from ..objectives import kernels
-from ..objectives.rls import RLS
+from ..objectives.general_fit import GeneralFit
+from ..objectives.rls import RLS, flattened
+from ..objectives.sum_of_fits import SumOfFits, together
 from ..search import warm_up as warm_up_search
 from ..subspace import compress, signal_subspace
-from ..wavefronts import Manifold, Wavefront
+from ..wavefronts import Amplitude, Manifold, Wavefront
 from .refinement import refine
 
 __all__ = ["SLOW_S", "Grid", "Music", "grid_maxima", "pick_peaks", "search_s"]
 
 SAME_PEAK = 0.9999
-"""The squared correlation |a₁ᴴa₂|²/M² above which two refined maxima are considered the same peak.
+"""The squared correlation |a₁ᴴa₂|²/(‖a₁‖²‖a₂‖²) above which two refined maxima are considered the same peak.
 
 Local searches that end at the same peak agree to within 1e-6 of 1. Two sources with a correlation as high as this do
 not form two peaks at any realistic SNR."""
@@ -88,6 +93,10 @@ class Music(Formulation):
     search reaches the same peak of the continuous spectrum are counted once, by the highest of them. If there are fewer
     than K distinct peaks, the highest remaining maxima complete the estimate.
 
+    For several frequency bins f the spectrum is 1/Σ_f(M − ‖U_s,fᴴa_f‖²): the distances of the response from the signal
+    subspaces are added, and all bins have the same weight (incoherent wideband MUSIC with the arithmetic mean; Wax,
+    Shan & Kailath 1984, doi:10.1109/TASSP.1984.1164400).
+
     grid: table with the numbers of grid points in azimuth, elevation and range.
     refine: whether to return the refined peaks instead of the grid points.
     wavefront: wavefront model that the estimator assumes, "exact", "fresnel", "paper" or "planar"; None: that of the
@@ -96,6 +105,12 @@ class Music(Formulation):
         ``criterion``, and an integer is used as given, even if it is wrong.
     criterion: criterion by which the number of sources is estimated: "aic", "mdl" or "ne" (Nadakuditi & Edelman); used
         only if ``sources`` is "estimate".
+    known_gains: whether the estimator knows the gains and phases of the elements.
+    known_coupling: whether the estimator knows the mutual coupling of the elements.
+    known_noise: whether the estimator knows the covariance of the noise, and whitens the data with it.
+    known_failed: whether the estimator knows which elements have failed, and leaves them out.
+    known_positions: whether the estimator knows the true positions of the elements.
+    amplitude: amplitude over the array that the estimator assumes, "constant", or "spherical", which is r/‖p − q_m‖.
     """
 
     accepts: ClassVar[type[Instance]] = ArrayInstance  # type: ignore[type-abstract]  # any subclass
@@ -106,6 +121,12 @@ class Music(Formulation):
     wavefront: Wavefront | None = None
     sources: Sources = "known"
     criterion: Criterion = "ne"
+    known_gains: bool = False
+    known_coupling: bool = False
+    known_noise: bool = False
+    known_failed: bool = False
+    known_positions: bool = False
+    amplitude: Amplitude = "constant"
 
     def warm_up(self) -> None:
         warm_up_search()
@@ -113,7 +134,7 @@ class Music(Formulation):
     def warnings(self, scenario: ArrayScenario) -> list[str]:
         d = 2 if scenario.elevation_deg is None else 3
         counts = self.grid.counts(d)
-        seconds = search_s(math.prod(counts), scenario.array.count, scenario.sources)
+        seconds = search_s(math.prod(counts), scenario.array.count, scenario.sources) * scenario.bins
         if seconds <= SLOW_S or not self.grid.has_defaults(d):
             return []
         size = " × ".join(map(str, counts))
@@ -127,16 +148,15 @@ class Music(Formulation):
         Raises Incompatible if there are fewer snapshots than sources, or if the grid has elevations and the scenario
         has none.
         """
-        K = how_many(instance, self.sources, self.criterion)
+        K = how_many(instance, self.sources, self.criterion, self)
         if K == 0:
             return np.empty((0, instance.manifold.dimension))
         axes = self.grid.axes(instance.lower, instance.upper)
-        manifold = instance.manifold.under(self.wavefront)
-        U_s = signal_subspace(instance.Y, K)
-        maxima = grid_maxima(U_s, manifold, axes, KEEP)
+        bins = [(signal_subspace(band.Y, K), band.manifold) for band in calibrated(instance, self)]
+        maxima = grid_maxima(bins, axes, KEEP)
         # ‖(I − P_a)U_s‖² = K − ‖U_sᴴa‖²/M: the minima of RLS of the signal subspace are the peaks of the spectrum
-        spectrum = RLS(U_s, manifold, instance.lower, instance.upper)
-        points, peaks = pick_peaks(spectrum, manifold, maxima, K)
+        spectrum = together([RLS(U_s, manifold, instance.lower, instance.upper) for U_s, manifold in bins])
+        points, peaks = pick_peaks(spectrum, maxima, K)
         return peaks if self.refine else points
 
 
@@ -146,19 +166,18 @@ def search_s(points: int, elements: int, sources: int) -> float:
 
 
 def grid_maxima(
-    U_s: Complex[ndarray, "m k"], manifold: Manifold, axes: list[Float[ndarray, " _"]], keep: int
+    bins: Sequence[tuple[Complex[ndarray, "m k"], Manifold]], axes: list[Float[ndarray, " _"]], keep: int
 ) -> Float[ndarray, "p d"]:
-    """Return the highest local maxima of ‖U_sᴴa‖² on a grid, shape (p, d) [rad, m], in descending order.
+    """Return the highest local maxima of Σ‖U_sᴴa‖² on a grid, shape (p, d) [rad, m], in descending order.
 
     A maximum is not lower than any of its neighbours, including the diagonal ones. A plateau counts once. The grid is
     never stored as a whole: only a block of azimuths and the two azimuths before it are held at a time.
 
-    U_s: signal subspace, shape (M, K).
-    manifold: array and wavefront model.
+    bins: signal subspace, shape (M, K), and array and wavefront model of each frequency bin.
     axes: coordinates of the grid in azimuth, (elevation,) range [rad, m].
     keep: maximum number of maxima.
     """
-    rows = kernels.pack_rows(compress(U_s))
+    energies = [_energies(compress(U_s), manifold) for U_s, manifold in bins]
     azimuth, slab = axes[0], tuple(len(axis) for axis in axes[1:])
     count = min(max(BLOCK // math.prod(slab), 1), len(azimuth))
     X = np.empty((count, *slab, len(axes)))
@@ -168,7 +187,10 @@ def grid_maxima(
     for first in range(0, len(azimuth) + 1, count):
         block = azimuth[first : first + count]
         X[: len(block), ..., 0] = block.reshape(-1, *[1] * len(slab))
-        new = kernels.projected_energy(*manifold.packed, rows, X[: len(block)].reshape(-1, len(axes)))
+        candidates = X[: len(block)].reshape(-1, len(axes))
+        new = energies[0](candidates)
+        for energy in energies[1:]:
+            new += energy(candidates)
         edge = np.full((1 if first + count > len(azimuth) else 0, *slab), -np.inf)  # beyond the last azimuth
         window = np.concatenate([window[-2:], new.reshape(-1, *slab), edge])
         is_highest = (window == maximum_filter(window, 3, mode="constant", cval=-np.inf))[1:-1]
@@ -185,28 +207,45 @@ def grid_maxima(
     return points
 
 
+def _energies(
+    rows: Complex[ndarray, "m c"], manifold: Manifold
+) -> Callable[[Float[ndarray, "p d"]], Float[ndarray, " p"]]:
+    """Return the function ‖U_sᴴa‖² of many sources, or ‖U_sᴴa‖²/‖a‖² where responses have another modulus than 1."""
+    if (flat := flattened(rows, manifold)) is None:
+        return GeneralFit(rows, manifold, least=0.0).explained
+    F, unit = flat
+    return partial(kernels.projected_energy, *unit.packed, kernels.pack_rows(F))
+
+
 def pick_peaks(
-    spectrum: RLS, manifold: Manifold, maxima: Float[ndarray, "p d"], count: int
+    spectrum: RLS | SumOfFits, maxima: Float[ndarray, "p d"], count: int
 ) -> tuple[Float[ndarray, "k d"], Float[ndarray, "k d"]]:
     """Return the highest maxima from which a local search reaches different peaks, and these peaks.
 
     If there are fewer peaks than ``count``, the highest remaining maxima are appended to both, as far as there are any.
 
-    spectrum: RLS of the signal subspace, whose minima are the peaks.
-    manifold: array and wavefront model.
+    spectrum: RLS of the signal subspace, or their sum over the frequency bins, whose minima are the peaks.
     maxima: points (p, d) [rad, m], the highest first.
     count: number of peaks to return.
     """
-    M, d = manifold.elements, manifold.dimension
+    parts = spectrum.parts if isinstance(spectrum, SumOfFits) else (spectrum,)
+    d, manifolds = len(spectrum.lower), [part.manifold for part in parts]
     points, peaks, twins = np.empty((0, d)), np.empty((0, d)), np.empty((0, d))
     for point in maxima:
         if len(points) == count:
             break
-        peak = refine(spectrum, point, manifold)
-        is_same = np.abs(manifold.response(peaks).conj() @ manifold.response(peak)) ** 2 >= SAME_PEAK * M**2
-        if is_same.any():
+        peak = refine(spectrum, point, spectrum.manifold)
+        is_same = [_same_direction(manifold, peaks, peak) for manifold in manifolds]
+        if np.all(is_same, axis=0).any():
             twins = np.vstack([twins, point])
         else:
             points, peaks = np.vstack([points, point]), np.vstack([peaks, peak])
     missing = twins[: count - len(points)]
     return np.vstack([points, missing]), np.vstack([peaks, missing])
+
+
+def _same_direction(manifold: Manifold, peaks: Float[ndarray, "k d"], peak: Float[ndarray, " d"]) -> ndarray:
+    """Whether the response of each of several sources is nearly parallel to that of another."""
+    A, a = manifold.response(peaks), manifold.response(peak)
+    lengths = np.sum(np.abs(A) ** 2, axis=1) * np.vdot(a, a).real  # M² where all have modulus 1
+    return np.abs(A.conj() @ a) ** 2 >= SAME_PEAK * lengths

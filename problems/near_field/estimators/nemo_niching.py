@@ -12,11 +12,13 @@ from numpy import ndarray
 from nfbench import Formulation, Incompatible, Instance, Minimize
 
 from ..array_instance import ArrayInstance
+from ..bands import one_band
+from ..calibration import calibrated
 from ..enumeration import Criterion, Sources, how_many
 from ..objectives.rls import RLS
 from ..search import warm_up as warm_up_search
 from ..subspace import compress
-from ..wavefronts import Wavefront
+from ..wavefronts import Amplitude, Wavefront
 from .music import pick_peaks
 
 __all__ = ["NemoNiching"]
@@ -40,6 +42,12 @@ class NemoNiching(Formulation):
         ``criterion``, and an integer is used as given, even if it is wrong.
     criterion: criterion by which the number of sources is estimated: "aic", "mdl" or "ne" (Nadakuditi & Edelman); used
         only if ``sources`` is "estimate".
+    known_gains: whether the estimator knows the gains and phases of the elements.
+    known_coupling: whether the estimator knows the mutual coupling of the elements.
+    known_noise: whether the estimator knows the covariance of the noise, and whitens the data with it.
+    known_failed: whether the estimator knows which elements have failed, and leaves them out.
+    known_positions: whether the estimator knows the true positions of the elements.
+    amplitude: amplitude over the array that the estimator assumes, "constant", or "spherical", which is r/‖p − q_m‖.
     """
 
     accepts: ClassVar[type[Instance]] = ArrayInstance  # type: ignore[type-abstract]  # any subclass
@@ -48,6 +56,12 @@ class NemoNiching(Formulation):
     wavefront: Wavefront | None = None
     sources: Sources = "known"
     criterion: Criterion = "ne"
+    known_gains: bool = False
+    known_coupling: bool = False
+    known_noise: bool = False
+    known_failed: bool = False
+    known_positions: bool = False
+    amplitude: Amplitude = "constant"
 
     def warm_up(self) -> None:
         warm_up_search()
@@ -55,18 +69,19 @@ class NemoNiching(Formulation):
     def solve(self, instance: ArrayInstance, minimize: Minimize) -> Float[ndarray, "k d"]:
         """Return the sources (K, d) [rad, m], the deepest minimum first; fewer if the population is smaller.
 
-        Raises Incompatible if the solver does not report a population.
+        Raises Incompatible if the solver does not report a population, or if there are several frequency bins.
         """
-        K = how_many(instance, self.sources, self.criterion)
-        manifold = instance.manifold.under(self.wavefront)
+        one_band(instance.bands, "nemo-niching", "which searches one problem of one wavelength")
+        K = how_many(instance, self.sources, self.criterion, self)
+        Y, manifold = calibrated(instance, self)[0].received
         if K == 0:
             return np.empty((0, manifold.dimension))
-        problem = RLS(compress(instance.Y), manifold, instance.lower, instance.upper)
+        problem = RLS(compress(Y), manifold, instance.lower, instance.upper)
         population = minimize(problem).population
         if population is None:
             raise Incompatible(
                 "solver: expected one that keeps its last population, from which nemo-niching takes the sources, "
                 "got one that keeps none; use for example crowding-de"
             )
-        individuals, minima = pick_peaks(problem, manifold, population, K)
+        individuals, minima = pick_peaks(problem, population, K)
         return minima if self.refine else individuals

@@ -10,7 +10,8 @@ from scipy.optimize import Bounds, minimize
 from nfbench import Problem
 
 from ..objectives.conditional_fit import ConditionalFit
-from ..search import resolution, search_locally
+from ..objectives.sum_of_fits import SumOfFits
+from ..search import BandFit, resolution, search_bands_locally, search_locally
 from ..wavefronts import Manifold
 
 __all__ = ["refine", "resolution"]
@@ -23,21 +24,32 @@ def refine(problem: Problem, x: Float[ndarray, " n"], manifold: Manifold) -> Flo
 
     A problem that is a misfit ‖(I − P_A)F‖² and nothing else, which has F as its attribute ``factor``, is minimized by
     Levenberg–Marquardt (``search_locally``); ConditionalFit too, with the other sources held. Any other problem, such
-    as RLS with repulsion, is minimized by L-BFGS-B (Byrd, Lu, Nocedal & Zhu 1995). Both measure angles in beamwidths
-    and ranges as inverse ranges in depths of focus, so that a minimum is equally wide at all ranges.
+    as RLS with repulsion, is minimized by L-BFGS-B (Byrd, Lu, Nocedal & Zhu 1995). So is a sum of
+    misfits of several frequency bins. Both measure angles in beamwidths and ranges as inverse ranges in depths of
+    focus, so that a minimum is equally wide at all ranges.
 
-    problem: problem with a gradient, RLS, SubspaceFit or ConditionalFit.
+    problem: problem with a gradient, RLS, SubspaceFit, ConditionalFit or SumOfFits.
     x: starting point [rad, m], shape (n,), which consists of n/d sources one after another, inside the box.
     manifold: array and wavefront model.
     """
-    factor: Complex[ndarray, "m c"] | None = getattr(problem, "factor", None)
-    if factor is None:
+    parts = problem.parts if isinstance(problem, SumOfFits) else (problem,)
+    factors: list[Complex[ndarray, "m c"] | None] = [getattr(part, "factor", None) for part in parts]
+    fits = [BandFit(F, at) for F, at in zip(factors, _manifolds(problem, manifold), strict=True) if F is not None]
+    if len(fits) < len(parts):
         return _refine_by_quasi_newton(problem, x, manifold)
     d = manifold.dimension
-    others = problem.others if isinstance(problem, ConditionalFit) else np.empty((0, d))
+    others = parts[0].others if isinstance(parts[0], ConditionalFit) else np.empty((0, d))
     start, box = np.concatenate([others.ravel(), x]), (problem.lower[:d], problem.upper[:d])
-    refined = search_locally(factor, manifold, *box, start, fixed=len(others)).x[others.size :]
+    if len(fits) == 1:
+        refined = search_locally(fits[0].F, manifold, *box, start, fixed=len(others)).x[others.size :]
+    else:
+        refined = search_bands_locally(fits, *box, start, fixed=len(others)).x[others.size :]
     return refined if problem.value(refined) <= problem.value(x) else x
+
+
+def _manifolds(problem: Problem, manifold: Manifold) -> list[Manifold]:
+    """Return the manifold of each frequency bin of the problem."""
+    return [part.manifold for part in problem.parts] if isinstance(problem, SumOfFits) else [manifold]
 
 
 def _refine_by_quasi_newton(problem: Problem, x: Float[ndarray, " n"], manifold: Manifold) -> Float[ndarray, " n"]:

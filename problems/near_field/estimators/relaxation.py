@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
-from jaxtyping import Complex, Float
+from jaxtyping import Float
 from numpy import ndarray
 
 from nfbench import Minimize
 
 from ..objectives.conditional_fit import ConditionalFit
-from ..wavefronts import Manifold
+from ..objectives.sum_of_fits import SumOfFits, together
+from ..search import BandFit
 from .refinement import refine
 
-__all__ = ["TOLERANCE", "place", "relax"]
+__all__ = ["TOLERANCE", "given", "place", "relax"]
 
 TOLERANCE = 1e-9
 """The gain of a sweep, relative to the objective, below which relaxation ends.
@@ -22,13 +25,17 @@ WSF by 1/(2(M − K)K). A gain of 1e-9 corresponds to less than 1 % of a standar
 
 
 def place(
-    problem: ConditionalFit, minimize: Minimize, *, refining: bool, previous: Float[ndarray, " d"] | None = None
+    problem: ConditionalFit | SumOfFits,
+    minimize: Minimize,
+    *,
+    refining: bool,
+    previous: Float[ndarray, " d"] | None = None,
 ) -> tuple[Float[ndarray, " d"], float]:
     """Return the position (d,) [rad, m] of one source given the others, and the objective there.
 
     The solver's minimizer is chosen unless the previous position is as good, so the objective never rises.
 
-    problem: the misfit of the source given the others.
+    problem: the misfit of the source given the others, see ``given``.
     minimize: the run's solver with its budget.
     refining: whether to refine both positions by a local search before they are compared.
     previous: the present position of the source (d,) [rad, m]; None: it has none yet.
@@ -41,9 +48,18 @@ def place(
     return candidates[best], values[best]
 
 
+def given(
+    fits: Sequence[BandFit],
+    lower: Float[ndarray, " d"],
+    upper: Float[ndarray, " d"],
+    others: Float[ndarray, "k d"],
+) -> ConditionalFit | SumOfFits:
+    """Return the misfit of one source given the others, summed over the frequency bins."""
+    return together([ConditionalFit(F, manifold, lower, upper, others) for F, manifold in fits])
+
+
 def relax(
-    factor: Complex[ndarray, "m c"],
-    manifold: Manifold,
+    fits: Sequence[BandFit],
     lower: Float[ndarray, " d"],
     upper: Float[ndarray, " d"],
     theta: Float[ndarray, "k d"],
@@ -59,8 +75,7 @@ def relax(
     projection, Ziskind & Wax 1988, doi:10.1109/29.7543; RELAX, Li & Stoica 1996, doi:10.1109/78.485924). A single
     source has no others and is returned as it is.
 
-    factor: the data or any factor of them, shape (M, c).
-    manifold: array and wavefront model.
+    fits: the data of each frequency bin, or any factor of them, with the array and wavefront model.
     lower: lower bounds of one source [rad, m], shape (d,).
     upper: upper bounds of one source [rad, m], shape (d,).
     theta: sources from which relaxation starts [rad, m], shape (K, d).
@@ -75,7 +90,7 @@ def relax(
     for _ in range(sweeps):
         before = value = np.inf
         for k in range(len(theta)):
-            problem = ConditionalFit(factor, manifold, lower, upper, np.delete(theta, k, axis=0))
+            problem = given(fits, lower, upper, np.delete(theta, k, axis=0))
             if k == 0:
                 before = problem.value(theta[k])
             theta[k], value = place(problem, minimize, refining=refining, previous=theta[k].copy())

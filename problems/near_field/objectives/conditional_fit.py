@@ -15,6 +15,7 @@ from nfbench import Problem
 from ..subspace import compress
 from ..wavefronts import Manifold
 from . import kernels, kernels_conditional
+from .general_fit import GeneralFit
 
 __all__ = ["LEAST", "ConditionalFit"]
 
@@ -63,6 +64,11 @@ class ConditionalFit(Problem):
         self.lower, self.upper = lower, upper
         self.factor, self.manifold, self.others = factor, manifold, others
         kernels_conditional.warm_up()
+        if not manifold.has_unit_modulus:
+            general = GeneralFit(factor, manifold, least=LEAST, others=others)
+            self._kernel, self._kernel_one = general.evaluate, general.value
+            self._kernel_and_gradient = general.value_and_gradient
+            return
         Q = _basis(manifold.response(others).T)
         remaining = factor
         for _ in range(2):  # F⊥; the second projection removes what rounding leaves of a large F

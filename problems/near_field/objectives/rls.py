@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from typing import final
 
@@ -14,8 +16,11 @@ from nfbench import Problem
 from ..objectives import kernels
 from ..subspace import compress
 from ..wavefronts import Manifold
+from .general_fit import GeneralFit
 
-__all__ = ["RLS", "deflate"]
+__all__ = ["RLS", "deflate", "flattened"]
+
+LEAST = 1e-16  # squared length of a response, relative to itself, that is 0: there is no other source to be near to
 
 
 @final
@@ -52,13 +57,10 @@ class RLS(Problem):
         if lower.shape != (manifold.dimension,) or upper.shape != lower.shape:
             raise ValueError(f"lower, upper: expected shape ({manifold.dimension},), got {lower.shape}, {upper.shape}")
         self.lower, self.upper = lower, upper
-        self._manifold = manifold
+        self.manifold = manifold
         kernels.warm_up()
         L = compress(Y)
-        factor = *manifold.packed, kernels.pack_rows(L)
-        self._projected_energy = partial(kernels.projected_energy, *factor)  # ‖aᴴL‖² of points
-        self._projected_energy_one = partial(kernels.projected_energy_one, *factor)  # and of one
-        self._projected_energy_and_gradient = partial(kernels.projected_energy_and_gradient, *factor)
+        self._choose_kernels(L)
         self._energy = float(np.vdot(Y, Y).real)
         self._detected = np.empty((0, manifold.dimension)) if detected is None else detected
         self._alpha = alpha if alpha_relative is None else alpha_relative * self._energy / manifold.elements
@@ -69,17 +71,34 @@ class RLS(Problem):
         self._repulsion = partial(kernels.repulsion, *cone)
         self._repulsion_one = partial(kernels.repulsion_one, *cone)
 
+    def _choose_kernels(self, L: Complex[ndarray, "m c"]) -> None:
+        """Set the functions that return M·‖aᴴL‖²/‖a‖², which is ‖aᴴL‖² where the entries of a have modulus 1."""
+        M = self.manifold.elements
+        self._projected_energy: Callable[[ndarray], ndarray]  # of points
+        self._projected_energy_one: Callable[[ndarray], float]  # and of one
+        self._projected_energy_and_gradient: Callable[[ndarray], tuple[float, ndarray]]
+        if (flat := flattened(L, self.manifold)) is None:
+            fit = GeneralFit(L * np.sqrt(M), self.manifold, least=LEAST)
+            self._projected_energy, self._projected_energy_one = fit.explained, fit.explained_one
+            self._projected_energy_and_gradient = fit.explained_and_gradient
+            return
+        rows, manifold = flat
+        factor = *manifold.packed, kernels.pack_rows(rows)
+        self._projected_energy = partial(kernels.projected_energy, *factor)
+        self._projected_energy_one = partial(kernels.projected_energy_one, *factor)
+        self._projected_energy_and_gradient = partial(kernels.projected_energy_and_gradient, *factor)
+
     def evaluate(self, X: Float[ndarray, "p n"]) -> Float[ndarray, " p"]:
-        residual = np.maximum(self._energy - self._projected_energy(X) / self._manifold.elements, 0.0)
+        residual = np.maximum(self._energy - self._projected_energy(X) / self.manifold.elements, 0.0)
         return residual + self._repulsion(X) if len(self._detected) else residual
 
     def value(self, x: Float[ndarray, " n"]) -> float:
-        residual: float = max(self._energy - self._projected_energy_one(x) / self._manifold.elements, 0.0)
+        residual: float = max(self._energy - self._projected_energy_one(x) / self.manifold.elements, 0.0)
         return residual + self._repulsion_one(x) if len(self._detected) else residual
 
     def value_and_gradient(self, x: Float[ndarray, " n"]) -> tuple[float, Float[ndarray, " n"]]:
         """The value and the gradient; of the repulsion a subgradient, zero where it has a kink."""
-        M = self._manifold.elements
+        M = self.manifold.elements
         energy, slope = self._projected_energy_and_gradient(x)
         gradient: Float[ndarray, " n"] = -slope / M
         value = max(self._energy - energy / M, 0.0)
@@ -90,6 +109,20 @@ class RLS(Problem):
         near = (distance > 0) & (distance < self._delta_min)
         gradient -= self._alpha * np.sum(away[near] / distance[near, None], axis=0)
         return value + self._repulsion_one(x), gradient
+
+
+def flattened(F: Complex[ndarray, "m c"], manifold: Manifold) -> tuple[Complex[ndarray, "m c"], Manifold] | None:
+    """Return a factor and a manifold of modulus 1 with the same ‖aᴴF‖²/‖a‖² for all sources; None if there are none.
+
+    For weights w on the diagonal and constant amplitudes, ‖a‖² = Σ|w_m|² does not depend on the source.
+    """
+    if manifold.has_unit_modulus:
+        return F, manifold
+    w = manifold.weights
+    if w is None or w.ndim == 2 or manifold.amplitude != "constant":
+        return None
+    scale = np.sqrt(len(w) / np.vdot(w, w).real)
+    return w.conj()[:, None] * F * scale, replace(manifold, weights=None)
 
 
 def deflate(Y: Complex[ndarray, "m t"], a: Complex[ndarray, " m"]) -> Complex[ndarray, "m t"]:

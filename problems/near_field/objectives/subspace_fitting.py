@@ -14,8 +14,11 @@ from nfbench import Problem
 from ..objectives import kernels
 from ..subspace import compress
 from ..wavefronts import Manifold
+from .general_fit import GeneralFit
 
 __all__ = ["SubspaceFit"]
+
+RANK = 1e-16  # as in ``kernels/singular.py``
 
 
 @final
@@ -66,6 +69,11 @@ class SubspaceFit(Problem):
         self.lower, self.upper = np.tile(lower, K), np.tile(upper, K)
         self._no_gradients = np.empty((0, K * manifold.dimension))
         kernels.warm_up()
+        if not manifold.has_unit_modulus:
+            general = GeneralFit(F, manifold, K, least=RANK)
+            self._kernel, self._kernel_one = general.evaluate, general.value
+            self._kernel_and_gradient = general.value_and_gradient
+            return
         fit = *manifold.packed, _energy(F), *kernels.pack_factor(_triangular(F), K)
         self._kernel = partial(kernels.misfit, *fit)
         self._kernel_one = partial(kernels.misfit_one, *fit)

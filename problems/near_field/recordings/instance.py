@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import final
+from typing import ClassVar, final
 
 import numpy as np
 from jaxtyping import Complex, Float
 from numpy import ndarray
 
 from ..array_instance import ArrayInstance
+from ..bands import Band
 from ..floor import local_fit
 from ..geometry import Frame, cartesian
 from ..instance import position_errors, position_scores, positions_of
@@ -37,7 +38,10 @@ class RecordedInstance(ArrayInstance):
     noise_covariance: known covariance of the noise in the units of Y, shape (M, M); None: not known, or white.
     notes: sentences that say how the data were read.
     noiseless: measured responses of the sources, shape (M, K); None: not known.
+    further: frequency bins besides that of Y, scaled in the same way.
     """
+
+    is_measured: ClassVar[bool] = True
 
     Y: Complex[ndarray, "m t"]
     manifold: Manifold
@@ -51,6 +55,7 @@ class RecordedInstance(ArrayInstance):
     noise_covariance: Complex[ndarray, "m m"] | None = None
     notes: tuple[str, ...] = ()
     noiseless: Complex[ndarray, "m k"] | None = None
+    further: tuple[Band, ...] = ()
 
     @property
     def sources(self) -> int:
@@ -93,22 +98,24 @@ class RecordedInstance(ArrayInstance):
         return scores | _along_and_across(self.theta, estimate) | self._floor
 
     def misfit(self, estimate: Float[ndarray, "found d"]) -> float:
-        """Return ‖(I − P_A)Y‖²_F/‖Y‖²_F, where P_A projects onto the response vectors of an estimate (K̂, d)."""
+        """Return ‖(I − P_A)Y‖²_F/‖Y‖²_F, both summed over the frequency bins.
+
+        P_A projects onto the response vectors of an estimate (K̂, d).
+        """
         if not np.isfinite(estimate).all():
             return float("nan")
         if not len(estimate):
             return 1.0
-        A = self.manifold.response(estimate).T
-        U, s, _ = np.linalg.svd(A, full_matrices=False)
-        U = U[:, s > 1e-12 * s[0]]  # coincident sources span one direction
-        return float(np.linalg.norm(self.Y - U @ (U.conj().T @ self.Y)) ** 2 / np.linalg.norm(self.Y) ** 2)
+        unexplained = [_unexplained(band, estimate) for band in self.bands]
+        return sum(unexplained) / sum(float(np.linalg.norm(band.Y)) ** 2 for band in self.bands)
 
     def errors(self, measure: str, estimates: Float[ndarray, "r found d"]) -> Float[ndarray, " r"]:
         errors = position_errors(self.theta, estimates) if self.theta is not None and measure == "rmse_m" else None
         return super().errors(measure, estimates) if errors is None else errors
 
-    def positions(self, estimate: Float[ndarray, "q d"]) -> tuple[Float[ndarray, "k 3"], Float[ndarray, "k 3"]] | None:
-        return None if self.theta is None else positions_of(self.theta, estimate)
+    def positions(self, estimate: Float[ndarray, "q d"]) -> tuple[Float[ndarray, "k 3"], Float[ndarray, "_ 3"]]:
+        theta = np.empty((0, self.manifold.dimension)) if self.theta is None else self.theta
+        return positions_of(theta, estimate)
 
     @cached_property
     def _floor(self) -> dict[str, float]:
@@ -119,8 +126,16 @@ class RecordedInstance(ArrayInstance):
         return {"floor_m": math.sqrt(np.mean(errors))}
 
     def _limit(self, found: int) -> float:
-        energies = np.linalg.svd(self.Y, compute_uv=False) ** 2
-        return float(energies[found:].sum() / energies.sum())
+        energies = [np.linalg.svd(band.Y, compute_uv=False) ** 2 for band in self.bands]
+        return sum(float(each[found:].sum()) for each in energies) / sum(float(each.sum()) for each in energies)
+
+
+def _unexplained(band: Band, estimate: Float[ndarray, "found d"]) -> float:
+    """Return ‖(I − P_A)Y‖²_F of one frequency bin."""
+    A = band.manifold.response(estimate).T
+    U, s, _ = np.linalg.svd(A, full_matrices=False)
+    U = U[:, s > 1e-12 * s[0]]  # coincident sources span one direction
+    return float(np.linalg.norm(band.Y - U @ (U.conj().T @ band.Y)) ** 2)
 
 
 def _along_and_across(theta: Float[ndarray, "k d"], estimate: Float[ndarray, "found d"]) -> dict[str, float]:

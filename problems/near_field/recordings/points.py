@@ -2,43 +2,36 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
+from ..arrays.text_tables import parsed
 from .files import read_array
 
 __all__ = ["read_points"]
 
-_METRES = {"": 1.0, "m": 1.0, "cm": 1e-2, "mm": 1e-3}
-_COLUMN = re.compile(r"([xyz])(?:[ _(\[]+(m|cm|mm)[)\]]?)?", re.IGNORECASE)
+MOST = 100_000
 
 
 def read_points(path: str) -> Float[ndarray, "p 3"]:
-    """Return the points in a file [m], one row x, y, z per point.
+    """Return the points in a file [m], one row x, y, z per point, at least one.
 
-    The first line of a text file may name the columns, such as x_m, z_m or x [mm], y [mm]; coordinates that it does not
-    name are 0. Raises ValueError if there are no such rows.
+    Text files are written like those with the positions of an array: the first line may name the columns, such as
+    x_m, z_m or x [mm], y [mm]; coordinates that it does not name are 0. Raises ValueError if there are no such rows.
     """
-    X = read_array(path).array
-    if np.iscomplexobj(X) or X.ndim != 2:
-        raise ValueError(f"{Path(path).name}: expected rows x, y, z of real numbers, got {X.dtype} of shape {X.shape}")
-    columns = _named(path) if Path(path).suffix.lower() in (".csv", ".txt", ".tsv") else []
-    if not columns and X.shape[1] == 3:
-        return X
-    if len(columns) != X.shape[1]:
-        raise ValueError(f"{Path(path).name}: expected rows x, y, z, got {X.shape[1]} columns without such names")
-    points = np.zeros((len(X), 3))
-    for i, (axis, unit) in enumerate(columns):
-        points[:, "xyz".index(axis)] = X[:, i] * _METRES[unit]
+    name = Path(path).name
+    if Path(path).suffix.lower() in (".csv", ".txt", ".tsv", ".dat"):
+        try:
+            points, _ = parsed(Path(path).read_text(encoding="utf-8-sig"), None, MOST)
+        except (OSError, ValueError, TypeError) as error:
+            raise ValueError(f"{name}: expected rows of three numbers, but reading it failed: {error}") from error
+    else:
+        points = read_array(path).array
+    if points.ndim != 2 or points.shape[1] != 3 or np.iscomplexobj(points) or not np.isfinite(points).all():
+        raise ValueError(f"{name}: expected rows x, y, z of finite numbers, got {points.dtype} of shape {points.shape}")
+    if not len(points):
+        raise ValueError(f"{name}: expected at least one point, got none")
     return points
-
-
-def _named(path: str) -> list[tuple[str, str]]:
-    """Return the axis and the unit of each column that the first line names; empty if it names no axes."""
-    first = next(line for line in Path(path).read_text(encoding="utf-8-sig").splitlines() if line.split("#")[0].strip())
-    found = [_COLUMN.fullmatch(cell.strip()) for cell in re.split(r"[,;\t]", first.split("#")[0])]
-    return [(match[1].lower(), (match[2] or "").lower()) for match in found if match]

@@ -64,8 +64,10 @@ class MeasuredResponses(Measured):
     array: table that describes the antenna array.
     failed: elements to leave out, by their numbers from 0 or their names.
     conjugate: whether to conjugate the responses, for data whose phases grow with the distance.
-    frequency_hz: frequency [Hz].
-    speed_m_s: speed of the waves [m/s].
+    wavelength_m: wavelength λ [m]; None: it follows from ``frequency_hz`` and ``speed_m_s``.
+    frequency_hz: frequency f of the waves [Hz], in place of ``wavelength_m``; None: ``wavelength_m`` is used.
+    speed_m_s: speed c of the waves [m/s], required with ``frequency_hz``: 299792458 for radio waves, about 343 for
+        sound in air; None: ``wavelength_m`` is used.
     wavefront: wavefront model that the formulations assume: "exact" (spherical), "fresnel", "paper" or "planar".
     azimuth_deg: interval [low, high] [°] in which azimuths are searched.
     elevation_deg: interval [low, high] [°] in which elevations are searched; None: all sources lie in the plane z = 0,
@@ -215,6 +217,8 @@ class MeasuredResponses(Measured):
 
     def _transformed(self, h: Float[ndarray, "n samples m"], rate_hz: float) -> Complex[ndarray, "n m"]:
         """Return the Fourier transform of gated impulse responses at the frequency."""
+        if self.frequency_hz is None:
+            raise self._error("frequency_hz", "is required for impulse responses, with speed_m_s: the frequency [Hz]")
         if self.frequency_hz >= rate_hz / 2:
             text = f"expected a value below half the sampling rate, {rate_hz / 2:g} Hz, got {self.frequency_hz:g}"
             raise self._error("frequency_hz", text)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Annotated, ClassVar, Literal, NamedTuple, TypeAlias, final
 
@@ -13,6 +13,7 @@ from numpy import ndarray
 
 from nfbench import FilePath, Ge, Instance, Le, Lt, OptionError
 
+from ..bands import Band
 from .files import read_array
 from .instance import RecordedInstance
 from .measurement import covariance_factor, dead_channels, normalized, oriented, spectral_snapshots
@@ -25,7 +26,13 @@ _Point: TypeAlias = tuple[Finite, Finite, Finite]
 
 MAX_NUMBERS = 10**8  # in the snapshots, 1.6 GB
 BLOCK, WINDOW, OVERLAP = 256, "hann", 0.5
-TIME_OPTIONS = {"sample_rate_hz": None, "block": BLOCK, "window": WINDOW, "overlap": OVERLAP}
+TIME_OPTIONS = {
+    "sample_rate_hz": None,
+    "block": BLOCK,
+    "window": WINDOW,
+    "overlap": OVERLAP,
+    "further_frequencies_hz": (),
+}
 
 
 class _Data(NamedTuple):
@@ -56,6 +63,8 @@ class Recorded(Measured):
     block: samples per snapshot; only for "samples".
     window: window of each block, a name that scipy.signal.get_window knows, such as "hann"; only for "samples".
     overlap: share of a block that the next one repeats; only for "samples".
+    further_frequencies_hz: frequencies [Hz] besides ``frequency_hz`` whose snapshots are fitted together with its own;
+        only for "samples".
     segments: number of parts of equal length into which the snapshots are divided; scene s uses part s.
     array: table that describes the antenna array.
     failed: elements to leave out, by their numbers from 0 or their names.
@@ -63,8 +72,10 @@ class Recorded(Measured):
     gains_file: path of a file with the complex gains of the elements, shape (M,); None: not known.
     noise_file: path of a file with the covariance of the noise, shape (M, M), or its power in each element, shape (M,),
         in the units of the data squared; None: not known.
-    frequency_hz: frequency [Hz].
-    speed_m_s: speed of the waves [m/s].
+    wavelength_m: wavelength λ [m]; None: it follows from ``frequency_hz`` and ``speed_m_s``.
+    frequency_hz: frequency f of the waves [Hz], in place of ``wavelength_m``; None: ``wavelength_m`` is used.
+    speed_m_s: speed c of the waves [m/s], required with ``frequency_hz``: 299792458 for radio waves, about 343 for
+        sound in air; None: ``wavelength_m`` is used.
     wavefront: wavefront model that the formulations assume: "exact" (spherical), "fresnel", "paper" or "planar".
     sources: number K of sources; must be smaller than the number of elements.
     azimuth_deg: interval [low, high] [°] in which azimuths are searched.
@@ -91,11 +102,16 @@ class Recorded(Measured):
     block: Annotated[int, Ge(4), Le(2**24)] = BLOCK
     window: str = WINDOW
     overlap: Annotated[float, Ge(0.0), Lt(1.0)] = OVERLAP
+    further_frequencies_hz: tuple[Positive, ...] = ()
     segments: Annotated[int, Ge(1), Le(100_000)] = 1
     gains_file: FilePath | None = field(default=None, metadata={"identifies": False})
     noise_file: FilePath | None = field(default=None, metadata={"identifies": False})
     truth_m: tuple[_Point, ...] | None = None
     truth_file: FilePath | None = field(default=None, metadata={"identifies": False})
+
+    @property
+    def bins(self) -> int:
+        return 1 + len(self.further_frequencies_hz)
 
     def files(self) -> tuple[str, ...]:
         return "data", "gains_file", "noise_file"
@@ -105,6 +121,7 @@ class Recorded(Measured):
         super().validate()
         self._check_options_of_kind()
         T = self.checked("data", lambda: self._data).Y.shape[1]
+        self.checked("further_frequencies_hz", lambda: self._further)
         if self.segments > T:
             raise self._error("segments", f"expected at most {T}, the number of snapshots, got {self.segments}")
         self.checked("gains_file", self._gains)
@@ -133,7 +150,8 @@ class Recorded(Measured):
         data = self._data
         parts = np.linspace(0, data.Y.shape[1], self.segments + 1).astype(int)
         part = number % self.segments
-        Y, deviation = normalized(data.Y[:, parts[part] : parts[part + 1]], self.sources)
+        segment = slice(parts[part], parts[part + 1])
+        Y, deviation = normalized(data.Y[:, segment], self.sources)
         noise = self._noise()
         lower, upper = self.box()
         return RecordedInstance(
@@ -148,6 +166,9 @@ class Recorded(Measured):
             gains=self._gains(),
             noise_covariance=None if noise is None else noise / deviation**2,
             notes=data.notes,
+            further=tuple(
+                Band(normalized(band.Y[:, segment], self.sources)[0], band.manifold) for band in self._further
+            ),
         )
 
     def _error(self, name: str, text: str) -> OptionError:
@@ -203,13 +224,29 @@ class Recorded(Measured):
     @cached_property
     def _data(self) -> _Data:
         """The snapshots of the elements that are used. Raises ValueError."""
+        return self._at(self.frequency_hz)
+
+    @cached_property
+    def _further(self) -> list[Band]:
+        """The snapshots at the further frequencies. Raises ValueError."""
+        if not self.further_frequencies_hz:
+            return []
+        manifold, speed = self.manifold(), self.speed_m_s
+        if self.frequency_hz is None or speed is None:
+            raise ValueError("expected none without frequency_hz and speed_m_s")
+        if len({self.frequency_hz, *self.further_frequencies_hz}) < self.bins:
+            raise ValueError(f"expected different frequencies, none of them frequency_hz = {self.frequency_hz:g}")
+        return [Band(self._at(f).Y, replace(manifold, wavelength_m=speed / f)) for f in self.further_frequencies_hz]
+
+    def _at(self, frequency_hz: float | None) -> _Data:
+        """Return the snapshots at a frequency of the elements that are used. Raises ValueError."""
         X, rate_hz = read_array(self.data, self.variable, self.array.count)
         X, axis = oriented(X, self.array.count, self.element_axis)
         notes = [f"axis {axis} of the data, {X.shape[0]} long, is that of the elements"]
         if self.data_kind == "samples":
-            Y, note = self._transformed(X, rate_hz)
+            Y, note = self._transformed(X, rate_hz, frequency_hz)
             notes.append(note)
-        elif not np.iscomplexobj(X) or not X.imag.any():
+        elif not np.iscomplexobj(X) or (X.any() and not X.imag.any()):
             text = f"expected complex {self.data_kind}, got real numbers, which have no phase"
             raise ValueError(f'{text}; for samples over time, give data_kind = "samples" and sample_rate_hz')
         elif self.data_kind == "covariance":
@@ -222,20 +259,26 @@ class Recorded(Measured):
             raise ValueError("expected data other than 0, got zeros only; check which array is read (variable)")
         return _Data(Y.conj() if self.conjugate else Y, tuple(notes))
 
-    def _transformed(self, x: Shaped[ndarray, "m n"], stated_hz: float | None) -> tuple[Complex[ndarray, "m t"], str]:
-        """Return the snapshots at the frequency, and a sentence about them."""
+    def _transformed(
+        self, x: Shaped[ndarray, "m n"], stated_hz: float | None, frequency_hz: float | None
+    ) -> tuple[Complex[ndarray, "m t"], str]:
+        """Return the snapshots at a frequency, and a sentence about them."""
         rate = self.sample_rate_hz or stated_hz
+        if frequency_hz is None:
+            raise self._error("frequency_hz", "is required for samples over time, with speed_m_s: the frequency [Hz]")
         if rate is None:
             raise self._error("sample_rate_hz", "is required for samples over time: the sampling rate [Hz]")
         if stated_hz is not None and not math.isclose(rate, stated_hz, rel_tol=1e-6):
             raise self._error("sample_rate_hz", f"expected {stated_hz:g}, as in the file, got {rate:g}")
         try:
-            Y = spectral_snapshots(x, rate, self.frequency_hz, self.block, self.window, self.overlap)
+            Y = spectral_snapshots(x, rate, frequency_hz, self.block, self.window, self.overlap)
         except ValueError as error:
             name, _, text = str(error).partition(": ")  # the option that is wrong
+            if name == "frequency_hz" and frequency_hz != self.frequency_hz:
+                name = "further_frequencies_hz"
             raise self._error(name, text) from error
-        text = f"{Y.shape[1]} snapshots at {self.frequency_hz:g} Hz from blocks of {self.block} samples"
-        return Y, f"{text}: bin {self.frequency_hz / rate * self.block:.4g} of {rate / self.block:g} Hz"
+        text = f"{Y.shape[1]} snapshots at {frequency_hz:g} Hz from blocks of {self.block} samples"
+        return Y, f"{text}: bin {frequency_hz / rate * self.block:.4g} of {rate / self.block:g} Hz"
 
     def _factored(self, R: Complex[ndarray, "m m"]) -> tuple[Complex[ndarray, "m t"], str]:
         """Return data with this covariance, and a sentence about the number of snapshots."""

@@ -13,10 +13,11 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from nfbench import Ge, Gt, Le, Lt, OneOf, OptionError, Scenario
+from nfbench import Ge, Gt, Le, Lt, OptionError, Scenario
 
-from ..arrays import UCA, ULA, UPA, Array, Custom, unusual
-from ..geometry import Frame
+from ..arrays import AnyArray, unusual
+from ..carrier import Frequency, Speed, Wavelength, carrier_problems, carrier_wavelength
+from ..geometry import Frame, azimuth_near
 from ..objectives import kernels
 from ..wavefronts import Manifold, Wavefront
 from .files import content_hash
@@ -34,9 +35,10 @@ T = TypeVar("T")
 class Measured(Scenario, ABC):
     """Sources that a real array has received. The options are described in the classes derived from this one."""
 
-    array: Annotated[Array, OneOf(ULA, UPA, UCA, Custom)]
-    frequency_hz: Positive
-    speed_m_s: Positive
+    array: AnyArray
+    wavelength_m: Wavelength | None = None
+    frequency_hz: Frequency | None = None
+    speed_m_s: Speed | None = None
     wavefront: Wavefront = "exact"
     sources: Annotated[int, Ge(1), Le(1000)]
     azimuth_deg: tuple[Finite, Finite]
@@ -60,12 +62,15 @@ class Measured(Scenario, ABC):
 
     def validate(self) -> None:
         problems = [
-            *_interval("azimuth_deg", self.azimuth_deg, -360.0, 360.0),
+            *carrier_problems(self.wavelength_m, self.frequency_hz, self.speed_m_s),
+            *_interval("azimuth_deg", self.azimuth_deg, -360.0, 360.0, widest=360.0),
             *_interval("elevation_deg", self.elevation_deg, -90.0, 90.0),
             *_interval("range_m", self.range_m, 1e-9, 1e9),
             *self._wrong_elements(),
         ]
         if problems:
+            raise OptionError(type(self).__name__, problems)
+        if problems := self.array.misplaced(self.wavelength):
             raise OptionError(type(self).__name__, problems)
         elements = len(self.working)
         if self.sources >= elements:
@@ -78,19 +83,24 @@ class Measured(Scenario, ABC):
         """Return the names of the options that are files, in a fixed order."""
 
     @property
-    def wavelength_m(self) -> float:
+    def wavelength(self) -> float:
         """The wavelength λ [m]."""
-        return self.speed_m_s / self.frequency_hz
+        return carrier_wavelength(self.wavelength_m, self.frequency_hz, self.speed_m_s)
+
+    @property
+    def bins(self) -> int:
+        """The number of frequencies whose data are fitted together."""
+        return 1
 
     @property
     def frame(self) -> Frame:
         """The coordinates in which the array and the true positions are described."""
-        return self.array.frame(self.wavelength_m)
+        return self.array.frame(self.wavelength)
 
     @property
     def working(self) -> list[int]:
         """The numbers of the elements that are used."""
-        names = self._names()
+        names = self.array.element_names
         failed = {names.index(which) if isinstance(which, str) else which for which in self.failed}
         return [m for m in range(self.array.count) if m not in failed]
 
@@ -99,8 +109,8 @@ class Measured(Scenario, ABC):
 
     def manifold(self) -> Manifold:
         """Return the array, without the elements that failed, and the wavefront model."""
-        Q = self.array.place(self.wavelength_m)[self.working]
-        return Manifold(Q, self.wavelength_m, self.wavefront, self.elevation_deg is not None)
+        Q = self.array.place(self.wavelength)[self.working]
+        return Manifold(Q, self.wavelength, self.wavefront, self.elevation_deg is not None)
 
     def box(self) -> tuple[Float[ndarray, " d"], Float[ndarray, " d"]]:
         """Return the lower and upper bounds of one source [rad, m]."""
@@ -112,12 +122,12 @@ class Measured(Scenario, ABC):
         """Return sources [rad, m] at points [m] given in the coordinates of the array. Raises ValueError."""
         theta = spherical(self.frame.inward(points), self.elevation_deg is not None)
         middle = math.radians(sum(self.azimuth_deg) / 2)
-        theta[:, 0] += 2 * math.pi * np.round((middle - theta[:, 0]) / (2 * math.pi))
+        theta[:, 0] = azimuth_near(theta[:, 0], middle)
         return theta
 
     def warnings(self) -> list[str]:
-        low, high = self.azimuth_deg
-        return list(unusual(self.array, self.wavelength_m, faces_forward=low >= -90 and high <= 90))
+        low, high = np.array(self.azimuth_deg) - 360 * round(sum(self.azimuth_deg) / 720)
+        return list(unusual(self.array, self.wavelength, faces_forward=bool(low >= -90 and high <= 90)))
 
     def outside(self, name: str, theta: Float[ndarray, "k d"]) -> list[str]:
         """Return a sentence if sources lie outside the box, where no method can find them."""
@@ -150,12 +160,8 @@ class Measured(Scenario, ABC):
             raise OptionError(type(self).__name__, [("sha256", text)])
         object.__setattr__(self, "sha256", found)
 
-    def _names(self) -> tuple[str, ...]:
-        names: tuple[str, ...] = getattr(self.array, "element_names", ())
-        return names
-
     def _wrong_elements(self) -> list[tuple[str, str]]:
-        names, M, problems = self._names(), self.array.count, []
+        names, M, problems = self.array.element_names, self.array.count, []
         for i, which in enumerate(self.failed):
             if isinstance(which, str) and which not in names:
                 known = ", ".join(names[:12]) or "none"
@@ -167,7 +173,7 @@ class Measured(Scenario, ABC):
 
 
 def _interval(
-    name: str, interval: tuple[float, float] | None, smallest: float, largest: float
+    name: str, interval: tuple[float, float] | None, smallest: float, largest: float, widest: float = math.inf
 ) -> list[tuple[str, str]]:
     """Return the errors in one interval of the box as (path, message) pairs."""
     if interval is None:
@@ -175,6 +181,8 @@ def _interval(
     low, high = interval
     if not low < high:
         return [(name, f"expected [low, high] with low < high, got [{low:g}, {high:g}]")]
+    if high - low > widest:
+        return [(name, f"expected an interval of at most {widest:g}, got [{low:g}, {high:g}]")]
     if low < smallest or high > largest:
         return [(name, f"expected an interval within [{smallest:g}, {largest:g}], got [{low:g}, {high:g}]")]
     return []

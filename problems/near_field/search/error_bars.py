@@ -10,10 +10,10 @@ from numpy import ndarray
 from ..bounds import position_bounds
 from ..rounding import next_to_element
 from ..wavefronts import Manifold
-from . import kernels
+from . import general, kernels
 from .local_search import unit_of
 
-__all__ = ["covariance", "standard_errors"]
+__all__ = ["covariance", "error_columns", "standard_errors"]
 
 
 def standard_errors(
@@ -26,6 +26,16 @@ def standard_errors(
     snapshots: int,
     spread: Complex[ndarray, "m c"] | None = None,
 ) -> dict[str, float]:
+    """Return the ``error_columns`` of estimated positions; the arguments are those of ``covariance``."""
+    return error_columns(covariance(theta, manifold, lower, upper, F, noise, snapshots, spread), theta, lower, upper)
+
+
+def error_columns(
+    C: Float[ndarray, "kd kd"],
+    theta: Float[ndarray, "k d"],
+    lower: Float[ndarray, " d"],
+    upper: Float[ndarray, " d"],
+) -> dict[str, float]:
     """Return the standard errors of estimated positions [m], by the names of their columns.
 
     std_1_m, std_2_m, …: standard deviation √(r²cos²ψ·C_φφ + r²·C_ψψ + C_rr) of the position of each estimate, in the
@@ -33,9 +43,11 @@ def standard_errors(
         one lies on an element, or is nearer to it than a thousandth of its range.
     std_m: root mean square of these; NaN if one of them is NaN.
 
-    The arguments are those of ``covariance``.
+    C: covariance of the estimates [rad, m], shape (Kd, Kd).
+    theta: estimated sources [rad, m], shape (K, d).
+    lower: lower bounds of one source [rad, m], shape (d,).
+    upper: upper bounds of one source [rad, m], shape (d,).
     """
-    C = covariance(theta, manifold, lower, upper, F, noise, snapshots, spread)
     deviations = position_bounds(C, theta)
     deviations[((theta <= lower) | (theta >= upper)).any(axis=1)] = math.nan
     columns = {f"std_{k}_m": float(deviation) for k, deviation in enumerate(deviations, start=1)}
@@ -73,6 +85,9 @@ def covariance(
     """
     kernels.warm_up()
     G = F[:, :0] if spread is None else spread
-    C = kernels.inverse_curvature(*manifold.packed, F, G, lower, upper, unit_of(manifold), theta.ravel())
+    if manifold.has_unit_modulus:
+        C = kernels.inverse_curvature(*manifold.packed, F, G, lower, upper, unit_of(manifold), theta.ravel())
+    else:
+        C = general.inverse_curvature(manifold, F, G, lower, upper, theta)
     C *= math.nan if next_to_element(manifold, theta) else noise / (2 * snapshots)
     return C

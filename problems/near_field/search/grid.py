@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from functools import lru_cache
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Complex, Float
 from numpy import ndarray
 
 from nfbench import Incompatible
@@ -22,6 +23,7 @@ __all__ = ["ResponseGrid", "grid_size", "resolution_grid", "response_grid"]
 SAMPLES = 61  # directions along each angle at which the beamwidth is computed
 LARGEST_GRID = 10**8  # points, 2.4 GB
 LARGEST_TABLE = 64 * 2**20  # bytes; the responses of a larger grid are computed whenever they are needed
+BLOCK = 2**21  # complex numbers of responses computed at once
 REMEMBERED = 4  # grids, each of one array, wavefront, box and density
 
 
@@ -33,7 +35,8 @@ class ResponseGrid:
     lower: lower bounds of one source [rad, m], shape (d,).
     upper: upper bounds of one source [rad, m], shape (d,).
     points: candidates [rad, m], shape (p, d).
-    table: responses as the kernels read them, shape (2, p, padded), or (2, 0, padded) if they would be too large.
+    table: responses as the kernels read them, shape (2, p, padded), or (2, 0, padded) if they would be too large or
+        have another modulus than 1.
     """
 
     manifold: Manifold
@@ -42,13 +45,38 @@ class ResponseGrid:
     points: Float[ndarray, "p d"]
     table: Float[ndarray, "2 p padded"]
 
+    def responses(self) -> Iterator[tuple[int, Complex[ndarray, "block m"]]]:
+        """Yield the responses in blocks, one per row, each with the index of its first point."""
+        if self._all is not None:
+            yield 0, self._all
+            return
+        count = max(BLOCK // self.manifold.elements, 1)
+        for first in range(0, len(self.points), count):
+            yield first, self.manifold.response(self.points[first : first + count])
+
+    @cached_property
+    def _all(self) -> Complex[ndarray, "p m"] | None:
+        small = 16 * self.manifold.elements * len(self.points) < LARGEST_TABLE
+        return self.manifold.response(self.points) if small else None
+
 
 def response_grid(
     manifold: Manifold, lower: Float[ndarray, " d"], upper: Float[ndarray, " d"], density: float
 ) -> ResponseGrid:
     """Return the ``resolution_grid`` with its responses; those of the last few arrays and boxes are remembered."""
     array = manifold.positions.tobytes(), manifold.wavelength_m, manifold.wavefront, manifold.has_elevation
+    if not manifold.has_unit_modulus:
+        return _general(manifold, lower, upper, density)
     return _remembered(*array, lower.tobytes(), upper.tobytes(), density)
+
+
+def _general(
+    manifold: Manifold, lower: Float[ndarray, " d"], upper: Float[ndarray, " d"], density: float
+) -> ResponseGrid:
+    """Return the grid of an array whose responses have another modulus than 1; it has no table for the kernels."""
+    unit = replace(manifold, weights=None, amplitude="constant")
+    points = response_grid(unit, lower, upper, density).points
+    return ResponseGrid(manifold, lower, upper, points, np.empty((2, 0, 0)))
 
 
 @lru_cache(maxsize=REMEMBERED)

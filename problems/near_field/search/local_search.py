@@ -10,7 +10,7 @@ from jaxtyping import Complex, Float
 from numpy import ndarray
 
 from ..wavefronts import Manifold
-from . import kernels
+from . import general, kernels
 
 __all__ = ["LocalMinimum", "resolution", "search_locally", "unit_of"]
 
@@ -81,4 +81,6 @@ def search_locally(
     """
     kernels.warm_up()
     held = fixed * manifold.dimension
+    if not manifold.has_unit_modulus:
+        return LocalMinimum(*general.local_search(manifold, F, lower, upper, unit_of(manifold), x, held))
     return LocalMinimum(*kernels.local_search(*manifold.packed, F, lower, upper, unit_of(manifold), x, held))

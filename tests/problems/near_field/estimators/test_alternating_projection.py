@@ -168,7 +168,7 @@ def test_the_misfit_never_rises_whatever_the_solver_answers(seed, refine):
     for _ in range(6):
         values.append(misfit(instance.Y, instance, theta))
         box = instance.lower, instance.upper
-        theta = relax(instance.Y, instance.manifold, *box, theta, run, sweeps=1, refining=refine)
+        theta = relax([(instance.Y, instance.manifold)], *box, theta, run, sweeps=1, refining=refine)
         assert ((theta >= instance.lower) & (theta <= instance.upper)).all()
     assert (np.diff(values) <= 1e-9 * values[0]).all()
     assert values[-1] < values[0]
@@ -179,7 +179,7 @@ def test_a_position_is_kept_if_the_solver_finds_nothing_better():
     found = AlternatingProjection().solve(instance, grid_search(instance))
     worse = instance.lower
     box = instance.lower, instance.upper
-    kept = relax(instance.Y, instance.manifold, *box, found, answering([worse], problems), sweeps=5, refining=False)
+    kept = relax([(instance.Y, instance.manifold)], *box, found, answering([worse], problems), sweeps=5, refining=False)
     assert_array_equal(kept, found)
     assert len(problems) == 3  # one sweep, which gained nothing
 

@@ -126,7 +126,7 @@ def test_no_source_is_reported_twice():
         reached = [k for k in sources_reached(instance, solve(Music(grid=COARSE), instance)) if k >= 0]
         assert len(set(reached)) == len(reached) >= 2  # a weak source may have no peak
         axes = COARSE.axes(instance.lower, instance.upper)
-        naive = grid_maxima(signal_subspace(instance.Y, 3), instance.manifold, axes, 3)
+        naive = grid_maxima([(signal_subspace(instance.Y, 3), instance.manifold)], axes, 3)
         naive_wrong += sorted(sources_reached(instance, naive)) != [0, 1, 2]
     assert naive_wrong >= 6
 
@@ -140,7 +140,7 @@ def test_close_sources_are_distinguished(other):
 def test_each_source_is_reported_by_its_highest_grid_point():
     instance = scene(4)  # naive picking reports its first source twice
     maxima = grid_maxima(
-        signal_subspace(instance.Y, 3), instance.manifold, COARSE.axes(instance.lower, instance.upper), 50
+        [(signal_subspace(instance.Y, 3), instance.manifold)], COARSE.axes(instance.lower, instance.upper), 50
     )
     reached = sources_reached(instance, maxima)
     expected = sorted(reached.index(k) for k in range(3))
@@ -162,14 +162,14 @@ def test_refinement_follows_a_narrow_ridge_to_its_end():
 def test_missing_peaks_are_replaced_by_the_highest_remaining_maxima():
     instance = scene(sources=1)
     maxima = grid_maxima(
-        signal_subspace(instance.Y, 1), instance.manifold, COARSE.axes(instance.lower, instance.upper), 50
+        [(signal_subspace(instance.Y, 1), instance.manifold)], COARSE.axes(instance.lower, instance.upper), 50
     )
     ridge = maxima[[k == 0 for k in sources_reached(instance, maxima)]]
     assert len(ridge) >= 3
-    points, peaks = pick_peaks(spectrum_of(instance), instance.manifold, ridge, 3)
+    points, peaks = pick_peaks(spectrum_of(instance), ridge, 3)
     assert_array_equal(points, ridge[:3])
     assert_array_equal(peaks[1:], ridge[1:3])
-    assert len(pick_peaks(spectrum_of(instance), instance.manifold, ridge[:2], 3)[0]) == 2
+    assert len(pick_peaks(spectrum_of(instance), ridge[:2], 3)[0]) == 2
 
 
 @pytest.mark.parametrize("block", [1, 300, 10**6])
@@ -188,8 +188,8 @@ def test_streaming_finds_the_same_maxima_as_the_whole_grid(monkeypatch, changes,
     expected = np.array([points[cell] for cell in brute_force_maxima(heights)])
     assert len(expected) > 5
     assert (expected[:, 0] == axes[0][0]).any() or (expected[:, -1] == axes[-1][0]).any()  # some are at the edges
-    assert_array_equal(grid_maxima(U_s, instance.manifold, axes, 10**6), expected)
-    assert_array_equal(grid_maxima(U_s, instance.manifold, axes, 4), expected[:4])
+    assert_array_equal(grid_maxima([(U_s, instance.manifold)], axes, 10**6), expected)
+    assert_array_equal(grid_maxima([(U_s, instance.manifold)], axes, 4), expected[:4])
 
 
 def test_the_grid_is_never_stored_as_a_whole(monkeypatch):
@@ -197,9 +197,9 @@ def test_the_grid_is_never_stored_as_a_whole(monkeypatch):
     instance = scene(**SPACE)
     U_s = signal_subspace(instance.Y, 2)
     axes = Grid(azimuth=100, elevation=50, range=60).axes(instance.lower, instance.upper)
-    grid_maxima(U_s, instance.manifold, axes, 10)
+    grid_maxima([(U_s, instance.manifold)], axes, 10)
     tracemalloc.start()
-    grid_maxima(U_s, instance.manifold, axes, 10)
+    grid_maxima([(U_s, instance.manifold)], axes, 10)
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak < 25 * 50 * 60 * 8  # 100 azimuths with four numbers per point would be 400
@@ -211,7 +211,7 @@ def test_a_plateau_counts_once():
     estimate = solve(Music(grid=COARSE), instance)
     assert_allclose(np.sort(estimate[:, 0]), np.radians([-20, 31]), atol=np.radians(120 / 199 / 2))
     axes = COARSE.axes(instance.lower, instance.upper)
-    maxima = grid_maxima(signal_subspace(instance.Y, 2), instance.manifold, axes, 1000)
+    maxima = grid_maxima([(signal_subspace(instance.Y, 2), instance.manifold)], axes, 1000)
     assert len(np.unique(maxima[:, 0])) == len(maxima)
 
 

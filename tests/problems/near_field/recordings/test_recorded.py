@@ -130,7 +130,9 @@ def test_methods_are_ranked_by_the_misfit_where_the_truth_is_not_known(recorded)
     scores = draw(without).score(np.array([[0.0, 0.0, 1.0]]))
     assert set(scores) == {"misfit", "misfit_limit", "sources_found"}
     assert draw(without).truth() is None
-    assert draw(without).positions(np.array([[0.0, 0.0, 1.0]])) is None
+    truth, found = draw(without).positions(np.array([[0.0, 0.0, 1.0]]))  # all estimates are without a source
+    assert truth.shape == (0, 3)
+    np.testing.assert_allclose(found, [[1.0, 0.0, 0.0]], atol=1e-15)
 
 
 def test_the_scenario_passes_the_checks_of_scenarios(recorded):

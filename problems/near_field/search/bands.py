@@ -1,0 +1,325 @@
+"""The search over several frequency bins: as for one, with the misfits and their derivatives added over the bins."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Complex, Float, Int
+from numpy import ndarray
+
+from ..geometry import cartesian
+from ..objectives.conditional_fit import ConditionalFit
+from ..objectives.sum_of_fits import SumOfFits
+from ..wavefronts import Manifold
+from . import kernels
+from .grid import resolution_grid
+from .local_search import LocalMinimum, unit_of
+
+__all__ = ["BandFit", "covariance_of_bands", "search_bands_greedily", "search_bands_locally"]
+
+# The limits are those of the compiled search, in kernels/local_search.py.
+ITERATIONS = 100
+FIRST_DAMPING, LAST_DAMPING = 1e-3, 1e12  # μ
+LONGEST = 0.25  # of a step in each coordinate: in beamwidths and depths of focus
+ENOUGH = 1e-15  # decrease of J, relative to J, at which the search ends
+LOST = 1e-13  # predicted decrease below which J may rise by its rounding errors alone
+ROUNDING = 1e-30  # decrease of J, relative to ‖F‖², below which J is only the rounding of the residuals
+FLAT = 1e-14  # least curvature, relative to the greatest
+CANDIDATES = 2000  # grid points among which lobes are distinguished
+LOBES = 6  # from which a source is searched
+PROMISING = 0.9  # gain of a lobe on the finer grid, relative to the best, from which it is searched
+FINER = 7  # points of the finer grid along each axis
+LOBE = 0.6  # range of the path differences over the array within the main lobe, in wavelengths; its null is at 1
+CERTAIN = 1e-10  # least pivot of AᴴA, relative to M, and least eigenvalue of the scaled curvature for a covariance
+
+
+class BandFit(NamedTuple):
+    """What is fitted in one frequency bin: a factor of its data, and the array at its wavelength."""
+
+    F: Complex[ndarray, "m c"]
+    manifold: Manifold
+
+
+class _Point(NamedTuple):
+    """J, half of its gradient and of its Gauss–Newton curvature, and the least pivot of AᴴA over the bins."""
+
+    J: float
+    g: Float[ndarray, " n"]
+    H: Float[ndarray, "n n"]
+    pivot: float
+
+
+def _at(fits: Sequence[BandFit], unit: Float[ndarray, " d"], x: Float[ndarray, " n"]) -> _Point:
+    parts = [kernels.misfit_and_derivatives(*manifold.packed, F, unit, x) for F, manifold in fits]
+    J, g, H, pivot = zip(*parts, strict=True)
+    return _Point(sum(J), np.sum(g, axis=0), np.sum(H, axis=0), min(pivot))
+
+
+class _Chart(NamedTuple):
+    """The coordinates z = angle/unit or 1/(range·unit) of the search, and the box in them."""
+
+    units: Float[ndarray, " n"]
+    low: Float[ndarray, " n"]
+    high: Float[ndarray, " n"]
+    is_range: Bool[ndarray, " n"]
+
+    @staticmethod
+    def of(
+        unit: Float[ndarray, " d"], lower: Float[ndarray, " d"], upper: Float[ndarray, " d"], sources: int
+    ) -> _Chart:
+        d = len(unit)
+        units, low, high = (np.tile(each, sources) for each in (unit, lower, upper))
+        return _Chart(units, low, high, np.arange(len(units)) % d == d - 1)
+
+    @property
+    def ends(self) -> Float[ndarray, "2 n"]:
+        """The bounds of z."""
+        ends: ndarray = np.sort([self.invert(self.low) / self.units, self.invert(self.high) / self.units], axis=0)
+        return ends
+
+    def invert(self, v: Float[ndarray, " n"]) -> Float[ndarray, " n"]:
+        return np.where(self.is_range, 1 / np.where(self.is_range, v, 1.0), v)
+
+    def locate(self, z: Float[ndarray, " n"]) -> Float[ndarray, " n"]:
+        """Return x of z [rad, m], exactly on an edge where z is."""
+        least, greatest = self.ends
+        placed = np.clip(self.invert(z * self.units), self.low, self.high)
+        placed = np.where(z <= least, np.where(self.is_range, self.high, self.low), placed)
+        return np.where(z >= greatest, np.where(self.is_range, self.low, self.high), placed)
+
+
+def search_bands_locally(
+    fits: Sequence[BandFit],
+    lower: Float[ndarray, " d"],
+    upper: Float[ndarray, " d"],
+    x: Float[ndarray, " n"],
+    fixed: int = 0,
+) -> LocalMinimum:
+    """Return a local minimizer of Σ_f ‖(I − P_A,f)F_f‖² within the box; see ``search_locally``, whose steps these are.
+
+    Coordinates are measured in the beamwidths and depths of focus of the shortest wavelength.
+
+    fits: what is fitted in each bin.
+    lower: lower bounds of one source [rad, m], shape (d,).
+    upper: upper bounds of one source [rad, m], shape (d,).
+    x: starting point [rad, m], shape (K·d,), inside the box.
+    fixed: number of sources at the beginning of x that keep their positions.
+    """
+    kernels.warm_up()
+    d = len(lower)
+    chart = _Chart.of(unit_of(_shortest(fits)), lower, upper, len(x) // d)
+    ends = chart.ends
+    held = np.arange(len(x)) < fixed * d
+    energy = sum(float(np.vdot(F, F).real) for F, _ in fits)
+    z, best = chart.invert(x) / chart.units, np.array(x, dtype=np.float64)
+    now = _at(fits, chart.units[:d], best)
+    damping, growth, steps = FIRST_DAMPING, 2.0, 0
+    while steps < ITERATIONS and damping <= LAST_DAMPING:
+        limits = np.maximum(ends[0] - z, -LONGEST), np.minimum(ends[1] - z, LONGEST)
+        s, limited = _step(now.g, now.H, *limits, damping, held)
+        predicted = -float(s @ (2 * now.g + now.H @ s))
+        if not predicted > ENOUGH * now.J + ROUNDING * energy:
+            if not limited:
+                break
+            damping, growth = damping * growth, 2 * growth
+            continue
+        moved = np.where(s == ends[0] - z, ends[0], np.where(s == ends[1] - z, ends[1], np.clip(z + s, *ends)))
+        trial = np.where(held, best, chart.locate(moved))
+        steps += 1
+        then = _at(fits, chart.units[:d], trial)
+        drop = now.J - then.J
+        if not drop > 0:
+            if predicted <= LOST * now.J:
+                break
+            damping, growth = damping * growth, 2 * growth
+            continue
+        z, best, now = moved, trial, then
+        damping *= max(0.1, 1 - (2 * drop / predicted - 1) ** 3)
+        growth = 2.0
+        if drop <= ENOUGH * now.J:
+            break
+    return LocalMinimum(best, now.J, now.H, steps, now.pivot)
+
+
+def _shortest(fits: Sequence[BandFit]) -> Manifold:
+    return min((manifold for _, manifold in fits), key=lambda manifold: manifold.wavelength_m)
+
+
+def _step(
+    g: Float[ndarray, " n"],
+    H: Float[ndarray, "n n"],
+    low: Float[ndarray, " n"],
+    high: Float[ndarray, " n"],
+    damping: float,
+    fixed: Bool[ndarray, " n"],
+) -> tuple[Float[ndarray, " n"], bool]:
+    """Return the minimizer of the damped model J + 2g·s + sᵀHs within limits, and whether a limit was met.
+
+    What leaves the limits is put on them, and the other coordinates are solved again given those.
+    """
+    s = np.zeros(len(g))
+    held = fixed | ((low >= 0) & (g >= 0)) | ((high <= 0) & (g <= 0))
+    curvature = np.diag(H)
+    size = np.maximum(curvature, FLAT * max(float(curvature.max()), 1e-300))
+    limited = False
+    for _ in range(len(g)):
+        free = ~held
+        if not free.any():
+            break
+        matrix = (H + damping * np.diag(size))[np.ix_(free, free)]
+        scale = 1 / np.sqrt(size[free])
+        right = -g[free] - H[np.ix_(free, held)] @ s[held]
+        s[free] = scale * np.linalg.lstsq(scale[:, None] * matrix * scale, scale * right, rcond=FLAT)[0]
+        outside = free & ~((low <= s) & (s <= high))
+        if not outside.any():
+            break
+        s[outside] = np.where(s[outside] < low[outside], low[outside], high[outside])
+        held, limited = held | outside, True
+    return s, limited
+
+
+def search_bands_greedily(
+    fits: Sequence[BandFit],
+    lower: Float[ndarray, " d"],
+    upper: Float[ndarray, " d"],
+    sources: int,
+    density: float,
+    sweeps: int,
+) -> LocalMinimum:
+    """Return a minimizer of Σ_f ‖(I − P_A,f)F_f‖² within the box, found as by ``search_greedily``.
+
+    The grid is that of the shortest wavelength, which has the finest beams. Where the elements are far apart, a source
+    has aliases that differ from it by less than a point of the grid from its peak: each choice is the best of the local
+    minima near several points.
+
+    fits: what is fitted in each bin.
+    lower: lower bounds of one source [rad, m], shape (d,).
+    upper: upper bounds of one source [rad, m], shape (d,).
+    sources: number K of sources.
+    density: number of grid points per beamwidth and depth of focus.
+    sweeps: maximum number of sweeps, in each of which every source is chosen again once.
+    """
+    array = _shortest(fits)
+    points = resolution_grid(array, lower, upper, density)
+
+    def choose(others: Float[ndarray, "k d"]) -> Float[ndarray, " d"]:
+        """Return where one more source lowers the misfit most, given the other sources."""
+        misfit = SumOfFits(ConditionalFit(F, manifold, lower, upper, others) for F, manifold in fits)
+        J = misfit.evaluate(points)
+        near = [_around(array, point, density, lower, upper) for point in _lobes(array, points[_least(J, CANDIDATES)])]
+        values = [misfit.evaluate(each) for each in near]
+        gains = J.max() - np.array([each.min() for each in values])
+        starts = [each[np.argmin(value)] for each, value in zip(near, values, strict=True)]
+        ends = [
+            search_bands_locally(fits, lower, upper, np.append(others, start), fixed=len(others))
+            for start, gain in zip(starts, gains, strict=True)
+            if gain >= PROMISING * gains.max()
+        ]
+        best: ndarray = min(ends, key=lambda end: end.value).x[others.size :]
+        return best
+
+    theta = np.empty((0, len(lower)))
+    for _ in range(sources):
+        theta = np.vstack([theta, choose(theta)])
+    best = search_bands_locally(fits, lower, upper, theta.ravel())
+    for _ in range(sweeps):
+        before = best.value
+        for k in range(sources):
+            theta = best.x.reshape(sources, -1).copy()
+            point = choose(np.delete(theta, k, axis=0))
+            if _in_lobe(array, point, theta[k : k + 1]).any():
+                continue
+            theta[k] = point
+            trial = search_bands_locally(fits, lower, upper, theta.ravel())
+            if trial.value < best.value:
+                best = trial
+        if not best.value < before * (1 - 1e-9):
+            break
+    return best
+
+
+def _least(J: Float[ndarray, " p"], count: int) -> Int[ndarray, " count"]:
+    """Return the indices of the smallest values in ascending order."""
+    chosen = np.argpartition(J, count)[:count] if len(J) > count else np.arange(len(J))
+    ascending: ndarray = chosen[np.argsort(J[chosen], kind="stable")]
+    return ascending
+
+
+def _lobes(array: Manifold, points: Float[ndarray, "p d"]) -> list[Float[ndarray, " d"]]:
+    """Return the first of the points, and those that follow in other lobes, at most LOBES."""
+    found = points[:1]
+    while len(found) < LOBES and len(points):
+        points = points[~_in_lobe(array, found[-1], points)]
+        found = np.vstack([found, points[:1]])
+    return list(found)
+
+
+def _around(
+    array: Manifold,
+    point: Float[ndarray, " d"],
+    density: float,
+    lower: Float[ndarray, " d"],
+    upper: Float[ndarray, " d"],
+) -> Float[ndarray, "p d"]:
+    """Return a finer grid around a grid point, as far as its neighbours."""
+    unit = unit_of(array)
+    offsets = np.stack(np.meshgrid(*[np.linspace(-1, 1, FINER)] * len(point), indexing="ij"), axis=-1) * unit / density
+    fine = point + offsets.reshape(-1, len(point))
+    inverse = np.clip(1 / point[-1] + offsets[..., -1].ravel(), 1 / upper[-1], 1 / lower[-1])
+    fine[:, -1] = 1 / inverse
+    return np.clip(fine, lower, upper)
+
+
+def _in_lobe(array: Manifold, source: Float[ndarray, " d"], points: Float[ndarray, "p d"]) -> Bool[ndarray, " p"]:
+    """Whether points are in the main lobe of a source: a local search from there may end at it.
+
+    Aliases are in other lobes, although their responses are alike: what counts is the path, not its phase.
+    """
+    ahead = [np.linalg.norm(cartesian(each)[..., None, :] - array.positions, axis=-1) for each in (source, points)]
+    return np.ptp(ahead[1] - ahead[0], axis=-1) < LOBE * array.wavelength_m
+
+
+def covariance_of_bands(
+    theta: Float[ndarray, "k d"],
+    fits: Sequence[BandFit],
+    lower: Float[ndarray, " d"],
+    upper: Float[ndarray, " d"],
+    variances: Sequence[float],
+    spreads: Sequence[Complex[ndarray, "m c"]],
+) -> Float[ndarray, "kd kd"]:
+    """Return the covariance of minimizers of Σ_f ‖(I − P_A,f)F_f‖² for white noise; see ``covariance``.
+
+    The curvature H = Σ_f H_f(F_f) and the covariance Σ_f σ_f²/(2T_f)·H_f(G_f) of the slope are sums over the bins,
+    because their data are independent. A bin of weight w, F_f = √w·F, has the spread G_f = w·G.
+
+    theta: estimated sources [rad, m], shape (K, d).
+    fits: what was fitted in each bin.
+    lower: lower bounds of one source [rad, m], shape (d,); a coordinate on a bound is considered known.
+    upper: upper bounds of one source [rad, m], shape (d,).
+    variances: σ_f²/(2T_f) of each bin.
+    spreads: factor G_f of each bin.
+    """
+    kernels.warm_up()
+    unit, x = unit_of(_shortest(fits)), theta.ravel()
+    now = _at(fits, unit, x)
+    slopes = [
+        kernels.misfit_and_derivatives(*fit.manifold.packed, G, unit, x)[2]
+        for fit, G in zip(fits, spreads, strict=True)
+    ]
+    meat = np.sum([variance * slope for variance, slope in zip(variances, slopes, strict=True)], axis=0)
+    free = ((lower < theta) & (theta < upper)).ravel()
+    size = np.sqrt(np.diag(now.H))[free]
+    scaled = now.H[np.ix_(free, free)] / np.outer(size, size)
+    nothing = np.full((len(x), len(x)), math.nan)
+    if not (now.pivot > CERTAIN and np.isfinite(scaled).all() and np.linalg.eigvalsh(scaled).min(initial=1) > CERTAIN):
+        return nothing
+    inverse = np.linalg.inv(scaled) / np.outer(size, size)
+    metres = np.tile(unit, len(theta))
+    metres[len(lower) - 1 :: len(lower)] *= -(theta[:, -1] ** 2)  # ∂r/∂z
+    C = np.zeros((len(x), len(x)))
+    C[np.ix_(free, free)] = inverse @ meat[np.ix_(free, free)] @ inverse
+    covariance: ndarray = C * np.outer(metres, metres)
+    return covariance
