@@ -66,7 +66,7 @@ def print_report(results: Results, console: Console) -> None:
             console.print(summary_table(title, rows, meta["error"], float(meta["outlier_m"]), console))
         console.print(shown(evidence.unranked))
     _print_claims(evidence.claims(), console)
-    print_parameters(summary, ranking.frame, console, number_text)
+    print_parameters(summary, evidence.ranking.frame, console, number_text)
     print_proofs(evidence.references, results.reference_counts.get("open", 0), console)
     _print_failures(runs, console)
 
