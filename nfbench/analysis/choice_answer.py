@@ -190,7 +190,8 @@ def _words(verdict: Verdict, target: str, unit: str) -> Iterator[str]:
     elif sure + likely > 1 and first["verdict"] == MEETS and sure > 1:
         yield "It is significantly cheaper than every other method that meets the request."
     if first["verdict"] == MEETS and likely:
-        yield f"{likely} more meet{'s' * (likely == 1)} the request in this study, but too few scenes make it sure."
+        more = "1 more method meets it" if likely == 1 else f"{likely} more methods meet it"
+        yield f"{more} in this study, but these are too few scenes to be sure."
     elif first["verdict"] == LIKELY and likely > 1:
         yield f"{likely - 1} other{'s' * (likely > 2)} also meet{'s' * (likely == 2)} it in this study."
 
@@ -225,7 +226,8 @@ def _budget(row: Any, request: Request, unit: str) -> str:
     if math.isnan(low):
         return f"{text}."
     end = amount(high) if math.isfinite(high) else "more than this study can bound"
-    return f"{text} ({100 * request.confidence:.4g} % interval {amount(low)} – {end})."
+    start = f"{low:,.6g}" if unit != "s" and math.isfinite(high) else amount(low)
+    return f"{text} ({100 * request.confidence:.4g} % interval {start} – {end})."
 
 
 def time_text(seconds: float) -> str:
