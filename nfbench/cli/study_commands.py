@@ -67,13 +67,12 @@ def run(
     from .progress import Lines, LiveView, Quiet
 
     console = output()
-    folder = out or Path("results") / loaded.name
+    console, folder = output(), out or Path("results") / loaded.name
     if not keep_skipped and (fresh or not (folder / "runs.sqlite").exists()):  # a folder that exists is resumed
         refuse_dead(loaded)
     what = "runs and proofs" if loaded.proven else "runs"
     forecast = None if shard or quiet else Forecast(loaded, _workers(address, jobs))
-    view = LiveView if console.is_terminal else Lines
-    progress = Quiet() if quiet else view(console, loaded.error, what, forecast)
+    progress = Quiet() if quiet else (LiveView if console.is_terminal else Lines)(console, loaded.error, what, forecast)
     try:
         with progress:
             results = run_study(
