@@ -92,8 +92,7 @@ def run(
             _store_batches(_batches(study, todo, proofs, jobs, cluster, stop), store, log, listener)
         finally:
             if work or is_new or not store.tabled() or not results.has_tables():
-                environment = {**describe_environment(study.plugins), **_origin(study, folder)}
-                _write_environment(folder, environment, cluster or jobs, started)
+                _write_environment(folder, study, cluster or jobs, started)
                 results.write_tables()
                 store.mark_tabled()
             log.info("ended: %s", ", ".join(f"{count} {status}" for status, count in store.counts().items()))
@@ -137,8 +136,9 @@ def _origin(study: Study, folder: Path) -> dict[str, str]:
     return {}
 
 
-def _write_environment(folder: Path, environment: dict[str, Any], jobs: int | str, started: datetime) -> None:
+def _write_environment(folder: Path, study: Study, jobs: int | str, started: datetime) -> None:
     """Write ``environment.json``: this session, with the previous ones under ``earlier``."""
+    environment: dict[str, Any] = {**describe_environment(study.plugins), **_origin(study, folder)}
     path = folder / "environment.json"
     earlier = []
     with contextlib.suppress(OSError, ValueError, TypeError, AttributeError, RecursionError):  # missing or not valid:

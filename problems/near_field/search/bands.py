@@ -14,7 +14,7 @@ from ..geometry import cartesian
 from ..objectives.conditional_fit import ConditionalFit
 from ..objectives.sum_of_fits import SumOfFits
 from ..wavefronts import Manifold
-from . import kernels
+from . import general, kernels
 from .grid import resolution_grid
 from .local_search import LocalMinimum, unit_of
 
@@ -53,9 +53,19 @@ class _Point(NamedTuple):
 
 
 def _at(fits: Sequence[BandFit], unit: Float[ndarray, " d"], x: Float[ndarray, " n"]) -> _Point:
-    parts = [kernels.misfit_and_derivatives(*manifold.packed, F, unit, x) for F, manifold in fits]
-    J, g, H, pivot = zip(*parts, strict=True)
+    J, g, H, pivot = zip(*[_in_bin(fit.F, fit.manifold, unit, x) for fit in fits], strict=True)
     return _Point(sum(J), np.sum(g, axis=0), np.sum(H, axis=0), min(pivot))
+
+
+def _in_bin(
+    F: Complex[ndarray, "m c"], manifold: Manifold, unit: Float[ndarray, " d"], x: Float[ndarray, " n"]
+) -> tuple[float, Float[ndarray, " n"], Float[ndarray, "n n"], float]:
+    """Return J of one bin, half of its gradient and curvature, and the least pivot of AᴴA."""
+    if manifold.has_unit_modulus:
+        J, g, H, pivot = kernels.misfit_and_derivatives(*manifold.packed, F, unit, x)
+    else:
+        J, g, H, pivot = general.derivatives(manifold, F, x, unit)
+    return J, g, H, pivot
 
 
 class _Chart(NamedTuple):
@@ -305,10 +315,7 @@ def covariance_of_bands(
     kernels.warm_up()
     unit, x = unit_of(_shortest(fits)), theta.ravel()
     now = _at(fits, unit, x)
-    slopes = [
-        kernels.misfit_and_derivatives(*fit.manifold.packed, G, unit, x)[2]
-        for fit, G in zip(fits, spreads, strict=True)
-    ]
+    slopes = [_in_bin(G, fit.manifold, unit, x)[2] for fit, G in zip(fits, spreads, strict=True)]
     meat = np.sum([variance * slope for variance, slope in zip(variances, slopes, strict=True)], axis=0)
     free = ((lower < theta) & (theta < upper)).ravel()
     size = np.sqrt(np.diag(now.H))[free]

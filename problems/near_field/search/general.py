@@ -18,7 +18,7 @@ from ..bounds import information_root
 from ..objectives.general_fit import orthonormalize, squared_lengths
 from ..wavefronts import Manifold
 
-__all__ = ["choose_greedily", "choose_replacement", "inverse_curvature", "local_search"]
+__all__ = ["choose_greedily", "choose_replacement", "derivatives", "inverse_curvature", "local_search"]
 
 Responses: TypeAlias = Callable[[], Iterator[tuple[int, ndarray]]]
 """Yields the responses of a grid in blocks, one per row, each with the index of its first point."""
@@ -91,7 +91,7 @@ def _best(
     return best, response
 
 
-class _State(NamedTuple):
+class State(NamedTuple):
     """J at a point, half its gradient and half its Gauss–Newton Hessian in the units of the search."""
 
     J: float
@@ -115,7 +115,7 @@ def local_search(
     """
     box = _Box(lower, upper, unit, len(start))
     x, z = start.copy(), box.inward(start)
-    state, energy = _derivatives(manifold, F, x, unit), float(np.vdot(F, F).real)
+    state, energy = derivatives(manifold, F, x, unit), float(np.vdot(F, F).real)
     damping, growth, steps = FIRST_DAMPING, 2.0, 0
     while steps < ITERATIONS and damping <= LAST_DAMPING:
         low, high = np.maximum(box.low - z, -LONGEST), np.minimum(box.high - z, LONGEST)
@@ -129,7 +129,7 @@ def local_search(
         moved = box.outward(trial)
         moved[:fixed] = start[:fixed]
         steps += 1
-        after = _derivatives(manifold, F, moved, unit)
+        after = derivatives(manifold, F, moved, unit)
         drop = state.J - after.J
         if not drop > 0.0:
             if predicted <= LOST * state.J:
@@ -166,9 +166,9 @@ class _Box:
         return np.clip(x, self.lower, self.upper)
 
 
-def _derivatives(
+def derivatives(
     manifold: Manifold, F: Complex[ndarray, "m c"], x: Float[ndarray, " n"], unit: Float[ndarray, " d"]
-) -> _State:
+) -> State:
     """J = ‖E‖² with E = F − AC, g = −Re(∂a_kᴴ·E·c_kᴴ) and H = Re[(DᴴP⊥D) ⊙ (CCᴴ)ᵀ] (Kaufman 1975)."""
     d = len(unit)
     theta = x.reshape(-1, d)
@@ -187,11 +187,11 @@ def _derivatives(
     left = D - U @ (U.conj().T @ D)
     H = ((left.conj().T @ left) * (C @ C.conj().T)[np.ix_(source, source)].T).real
     R = np.linalg.qr(a.T / np.linalg.norm(a, axis=1)).R
-    return _State(float(np.vdot(E, E).real), g, H, float(np.abs(np.diag(R)).min() ** 2))
+    return State(float(np.vdot(E, E).real), g, H, float(np.abs(np.diag(R)).min() ** 2))
 
 
 def _step(
-    state: _State, low: Float[ndarray, " n"], high: Float[ndarray, " n"], damping: float, fixed: int
+    state: State, low: Float[ndarray, " n"], high: Float[ndarray, " n"], damping: float, fixed: int
 ) -> tuple[Float[ndarray, " n"], float, bool]:
     """The step s within its limits, the decrease of J that the model J + 2g·s + sᵀHs predicts, and whether it is cut.
 

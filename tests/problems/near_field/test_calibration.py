@@ -93,7 +93,7 @@ def test_the_standard_errors_of_an_informed_estimator_are_the_bound(case):
 
 def test_prewhitened_noise_is_white_and_the_signal_follows_the_weighted_responses():
     instance = draw(2, **EVERYTHING)
-    Y, manifold = calibrated(instance, GridRefine(**KNOWN))
+    Y, manifold = calibrated(instance, GridRefine(**KNOWN))[0].received
     whitener = np.linalg.inv(np.linalg.cholesky(instance.noise_covariance))
     assert_allclose(Y, whitener @ instance.Y, atol=1e-9)
     assert_allclose(manifold.response(instance.theta).T, whitener @ instance.H[0], atol=1e-9)
@@ -105,27 +105,27 @@ def test_failed_elements_are_left_out_if_their_noise_says_nothing_about_that_of_
         instance = draw(2, **impairments)
         kept = np.delete(np.arange(32), instance.failed)
         scale = np.sqrt(np.diag(instance.noise_covariance).real)[kept, None] if "known_noise" in knows else 1.0
-        Y, manifold = calibrated(instance, GridRefine(**knows))
+        Y, manifold = calibrated(instance, GridRefine(**knows))[0].received
         assert_allclose(Y, instance.Y[kept] / scale, rtol=1e-12)
         assert_allclose(manifold.response(instance.theta).T, instance.H[0][kept] / scale, rtol=1e-9)
 
 
 def test_nothing_known_leaves_the_data_as_they_are():
     instance = draw(2, **EVERYTHING)
-    Y, manifold = calibrated(instance, GridRefine())
+    Y, manifold = calibrated(instance, GridRefine())[0].received
     assert Y is instance.Y and manifold is instance.manifold
 
 
 def test_options_without_an_impairment_change_nothing():
     instance = draw(2)
     every = {name: value for name, value in KNOWN.items() if name != "amplitude"}
-    Y, manifold = calibrated(instance, GridRefine(**every))
+    Y, manifold = calibrated(instance, GridRefine(**every))[0].received
     assert Y is instance.Y and manifold is instance.manifold
 
 
 def test_known_phases_turn_the_data_and_keep_the_modulus_of_the_responses():
     clean, turned = draw(4), draw(4, phase_error_deg=80.0)
-    Y, manifold = calibrated(turned, GridRefine(known_gains=True))
+    Y, manifold = calibrated(turned, GridRefine(known_gains=True))[0].received
     assert manifold.has_unit_modulus
     noise = [each.Y - each.H[0] @ each.symbols for each in (clean, turned)]
     expected = clean.Y - noise[0] + turned.gains.conj()[:, None] * noise[1]
@@ -133,7 +133,7 @@ def test_known_phases_turn_the_data_and_keep_the_modulus_of_the_responses():
 
 
 def test_equal_levels_of_noise_keep_the_modulus_of_the_responses():
-    Y, manifold = calibrated(draw(noise_level_db=(6.0,) * 32), GridRefine(known_noise=True))
+    Y, manifold = calibrated(draw(noise_level_db=(6.0,) * 32), GridRefine(known_noise=True))[0].received
     assert manifold.has_unit_modulus
     assert_allclose(Y, draw(noise_level_db=(6.0,) * 32).Y / 10**0.3, rtol=1e-12)
 
@@ -142,7 +142,7 @@ def test_leaving_out_known_failures_is_the_smaller_array():
     instance = draw(5, failed_elements=(0, 1, 2, 31))
     positions = draw().manifold.positions[3:31]
     smaller = NearField(**SCENE | {"array": {"kind": "custom", "origin": "first", "positions": positions.tolist()}})
-    Y, manifold = calibrated(instance, GridRefine(known_failed=True))
+    Y, manifold = calibrated(instance, GridRefine(known_failed=True))[0].received
     assert_array_equal(Y, instance.Y[3:31])
     assert_array_equal(manifold.positions, positions)
     assert smaller.array.count == manifold.elements
