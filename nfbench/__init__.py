@@ -95,6 +95,7 @@ __all__ = [
     "Survey",
     "Trace",
     "Tune",
+    "choose",
     "combined_info",
     "compiled",
     "load_kernels",
@@ -113,13 +114,14 @@ if TYPE_CHECKING:
     from .core.jit import compiled, load_kernels
     from .execution import localize, procedure, run
     from .plugins import NestedSolver, combined_info, nested_solver, run_part, solver_of
-    from .results import Results
+    from .results import Results, choose
     from .study import Study, load_study
 
 _PACKAGES = {
     "NestedSolver": "plugins",
     "Results": "results",
     "Study": "study",
+    "choose": "results",
     "combined_info": "plugins",
     "compiled": "core.jit",
     "load_kernels": "core.jit",

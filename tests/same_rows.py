@@ -23,7 +23,7 @@ import pandas as pd
 from nfbench.plugins import Registry
 
 REPOSITORY = Path(__file__).parents[1]
-IGNORED = ("runtime_s", "cpu_s", "message")
+IGNORED = ("runtime_s", "cpu_s", "message", "evaluation_s", "batches", "batched")
 NEAR_FIELD = """
 kind = "near-field"
 array = { kind = "ula", elements = 32, spacing_wavelengths = 0.5, origin = "center" }
@@ -95,7 +95,7 @@ def rows(site: Path, manifest: Path, out: Path) -> pd.DataFrame:
     environment = {**os.environ, "PYTHONPATH": str(site), "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     command = [sys.executable, "-m", "nfbench", "run", str(manifest), "--out", str(out), "--quiet"]
     subprocess.run(command, env=environment, cwd=out.parent, check=False)
-    return pd.read_csv(out / "runs.csv", dtype=str, keep_default_na=False).drop(columns=list(IGNORED))
+    return pd.read_csv(out / "runs.csv", dtype=str, keep_default_na=False).drop(columns=list(IGNORED), errors="ignore")
 
 
 def main() -> int:

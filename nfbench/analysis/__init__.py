@@ -5,6 +5,10 @@ The functions take tables and arrays, not folders, so they can analyse rows from
 
 from __future__ import annotations
 
+from .choice import LIKELY, MEETS, MISSES
+from .choice_answer import Choice, answer, time_text
+from .choice_costs import Cell, Request, cells_of
+from .claim_parts import same_value
 from .claims import judge_claims
 from .distributions import (
     Axis,
@@ -47,17 +51,25 @@ from .targets import (
 
 __all__ = [
     "ALL",
+    "LIKELY",
+    "MEETS",
+    "MISSES",
     "Axis",
     "Block",
+    "Cell",
+    "Choice",
     "Outcomes",
     "PairedChange",
     "Parameter",
     "Point",
     "Ranking",
+    "Request",
     "Target",
+    "answer",
     "aocc_table",
     "attainment",
     "bounded_mean_interval",
+    "cells_of",
     "default_groups",
     "default_targets",
     "ecdf_band",
@@ -81,6 +93,7 @@ __all__ = [
     "reached_for_good",
     "rms_of_solved_interval",
     "runtime_distribution",
+    "same_value",
     "scene_table",
     "sentence",
     "sentences",
@@ -90,6 +103,7 @@ __all__ = [
     "summarize",
     "swept_columns",
     "target_table",
+    "time_text",
     "tuning_verdict",
     "value_at",
     "variance_components",

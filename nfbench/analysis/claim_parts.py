@@ -19,7 +19,7 @@ from .intervals import Estimate, bounded_mean_interval, mean_pvalue, ratio_inter
 from .outcomes import Outcomes, Point, common
 from .sign_flips import hit_scores, log_ratios, mean_over_points, one_sided, signed_ranks
 
-__all__ = ["Part", "failure_counts", "kendall", "methods_of", "parts_of", "values_of"]
+__all__ = ["Part", "failure_counts", "kendall", "methods_of", "parts_of", "same_value", "values_of"]
 
 FLOOR = 0.8  # default limit of a floor
 
@@ -63,13 +63,13 @@ def _chosen(compare: Compare, points: Sequence[Point]) -> list[Point]:
         raise ValueError(f"key: expected a swept key ({known}), got {compare.key}")
     if not compare.values:
         return list(points)
-    chosen = [point for point in points if any(_same(point[0][compare.key], value) for value in compare.values)]
+    chosen = [point for point in points if any(same_value(point[0][compare.key], value) for value in compare.values)]
     for value in compare.values if points else ():
         _find(compare.key, value, [swept[compare.key] for swept, _ in points])
     return chosen
 
 
-def _same(stored: Any, wanted: Any) -> bool:
+def same_value(stored: Any, wanted: Any) -> bool:
     """Return whether a swept value is the one that a claim names; stored values may be text."""
     if stored == wanted or str(stored) == str(wanted):
         return True
@@ -95,7 +95,7 @@ def _listed(value: Any) -> list[str]:
 def _find(key: str, value: Any, stored: Sequence[Any]) -> int:
     """Return the position of a value among those of a swept key."""
     for position, each in enumerate(stored):
-        if _same(each, value):
+        if same_value(each, value):
             return position
     raise ValueError(f"{key}: expected one of its swept values ({', '.join(map(str, stored))}), got {value}")
 

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import tomllib
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 from rich.console import Console
 
-from nfbench.core import printable
+from nfbench.core import NfbenchError, StoreError, explain, printable
 
 __all__ = [
     "INTERRUPTED",
@@ -22,6 +24,7 @@ __all__ = [
     "Jobs",
     "Plugins",
     "app",
+    "explained",
     "output",
     "parsed_option",
     "say",
@@ -74,3 +77,22 @@ def parsed_option(text: str) -> tuple[str, Any]:
         return name, tomllib.loads(f"value = {value}")["value"]
     except tomllib.TOMLDecodeError:
         return name, value
+
+
+@contextlib.contextmanager
+def explained(*folders: Path) -> Iterator[None]:
+    """Turn an exception that no check has foreseen into a message: the folders may hold values that no run gives."""
+    import numpy as np
+
+    try:
+        with np.errstate(all="ignore"):  # numbers may be infinite
+            yield
+    except (NfbenchError, typer.Exit, BrokenPipeError):
+        raise
+    except Exception as error:
+        names = " and ".join(str(folder / "runs.sqlite") for folder in folders)
+        raise StoreError(
+            f"{names}: the results cannot be processed ({printable(explain(error))}). If values in the file are "
+            f"damaged, `nfbench run STUDY.toml --fresh` moves the folder aside and starts over; otherwise please "
+            f"report this"
+        ) from error

@@ -12,6 +12,7 @@ from nfbench import __version__
 from nfbench.core import NfbenchError, printable
 
 from . import (  # noqa: F401  # importing them registers the commands
+    choose_command,
     localize_command,
     plugin_commands,
     results_commands,

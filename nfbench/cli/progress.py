@@ -10,11 +10,13 @@ from typing import Self
 
 from rich.console import Console, Group
 from rich.live import Live
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.text import Text
 
 from nfbench.core import Status, printable
 from nfbench.study import RunRecord, RunSpec
+
+from .forecast import Forecast, rough_duration
 
 __all__ = ["Lines", "LiveView", "Quiet"]
 
@@ -70,16 +72,15 @@ class _Tally:
 class LiveView:
     """Shows runs done, rate, time left, failures and the leading methods so far in a terminal."""
 
-    def __init__(self, console: Console, error: str, what: str = "runs") -> None:
-        self._what = what
+    def __init__(self, console: Console, error: str, what: str = "runs", forecast: Forecast | None = None) -> None:
+        self._what, self._console, self._forecast = what, console, forecast
         self._bar = Progress(
             TextColumn("{task.description}"),
             BarColumn(bar_width=20),
             MofNCompleteColumn(),
             TextColumn("{task.fields[rate]}"),
             TimeElapsedColumn(),
-            TextColumn("remaining"),
-            TimeRemainingColumn(),
+            TextColumn("{task.fields[left]}"),
             console=console,
         )
         self._tally = _Tally(error)
@@ -91,13 +92,21 @@ class LiveView:
 
     def begin(self, total: int, done: int) -> None:
         self._start = time.monotonic()
-        self._task = self._bar.add_task(self._what, total=total, completed=done, rate="")
+        if self._forecast:
+            self._forecast.begin(total - done)
+        self._task = self._bar.add_task(self._what, total=total, completed=done, rate="", left="")
 
     def finished(self, spec: RunSpec, record: RunRecord) -> None:
         self._done += 1
         self._tally.add(spec, record)
-        rate = f"{self._done / (time.monotonic() - self._start):.3g}/s"
-        self._bar.update(self._task, advance=1, rate=rate)
+        now = time.monotonic()
+        rate, left = f"{self._done / (now - self._start):.3g}/s", ""
+        if self._forecast:
+            self._forecast.add(spec, record)
+            left = f"{rough_duration(self._forecast.left_s(now))} left"
+            if sentence := self._forecast.sentence(now):
+                self._console.print(sentence, markup=False)
+        self._bar.update(self._task, advance=1, rate=rate, left=left)
         self._note.plain = "\n".join(
             line
             for line in (
@@ -124,8 +133,8 @@ class LiveView:
 class Lines:
     """Prints a plain line every ten seconds and at the end, for logs and pipes."""
 
-    def __init__(self, console: Console, error: str, what: str = "runs") -> None:
-        self._what = what
+    def __init__(self, console: Console, error: str, what: str = "runs", forecast: Forecast | None = None) -> None:
+        self._what, self._forecast = what, forecast
         self._console = console
         self._tally = _Tally(error)
         self._start = self._last = time.monotonic()
@@ -134,6 +143,8 @@ class Lines:
     def begin(self, total: int, done: int) -> None:
         self._total, self._done, self._before = total, done, done
         self._start = self._last = time.monotonic()
+        if self._forecast:
+            self._forecast.begin(total - done)
         before = f"{done} of {total} {self._what} are already done; " if done else ""
         self._console.print(f"{before}{self._what} to do: {total - done}")
 
@@ -141,10 +152,15 @@ class Lines:
         self._done += 1
         self._tally.add(spec, record)
         now = time.monotonic()
+        if self._forecast:
+            self._forecast.add(spec, record)
+            if sentence := self._forecast.sentence(now):
+                self._console.print(sentence, markup=False)
         if now - self._last >= LINE_EVERY_S or self._done == self._total:
             self._last = now
             elapsed = now - self._start
             left = elapsed / (self._done - self._before) * (self._total - self._done)
+            left = self._forecast.left_s(now) if self._forecast else left
             bad = f", not ok: {self._tally.bad}" if self._tally.bad else ""
             self._console.print(
                 f"{self._done} of {self._total} {self._what} done, {elapsed:.0f} s elapsed, {left:.0f} s left{bad}"

@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-import contextlib
-from collections.abc import Iterator
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Literal
 
-import numpy as np
 import typer
 
-from nfbench.core import NfbenchError, StoreError, explain, printable
-
 from .common import NOT_ALL_OK, OK, Folder, Plugins, app, output, say, warn
+from .common import explained as _explained
 
 
 class Width(StrEnum):
@@ -74,23 +70,6 @@ Labels = Annotated[
     list[str] | None,
     typer.Option(metavar="LABEL", help="Method to show in colour besides the best ones; repeatable."),
 ]
-
-
-@contextlib.contextmanager
-def _explained(*folders: Path) -> Iterator[None]:
-    """Turn an exception that no check has foreseen into a message: the folders may hold values that no run gives."""
-    try:
-        with np.errstate(all="ignore"):  # numbers may be infinite
-            yield
-    except (NfbenchError, typer.Exit, BrokenPipeError):
-        raise
-    except Exception as error:
-        names = " and ".join(str(folder / "runs.sqlite") for folder in folders)
-        raise StoreError(
-            f"{names}: the results cannot be processed ({printable(explain(error))}). If values in the file are "
-            f"damaged, `nfbench run STUDY.toml --fresh` moves the folder aside and starts over; otherwise please "
-            f"report this"
-        ) from error
 
 
 @app.command()

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Annotated
 
 import typer
+from rich.console import Console
 
 from nfbench.core import Status, StoreError
 from nfbench.results import Results
@@ -41,6 +43,10 @@ def run(
         list[Status] | None,
         typer.Option(help="Repeat the runs with this status, e.g. failed; can be given several times."),
     ] = None,
+    keep_skipped: Annotated[
+        bool,
+        typer.Option("--keep-skipped", help="Run a study although a formulation of it cannot solve any of its scenes."),
+    ] = False,
     yes: Annotated[bool, typer.Option("--yes", help="Start a study of more than 1,000,000 runs.")] = False,
     quiet: Annotated[
         bool, typer.Option("--quiet", "-q", help="Print only errors and failures: no progress, no tables.")
@@ -54,15 +60,19 @@ def run(
     loaded = load_study(study, plugin or ())
     _announce(loaded, part, yes)
 
+    from nfbench.execution import refuse_dead
     from nfbench.execution import run as run_study  # only now, as a message about the manifest must not wait for them
-    from nfbench.report import print_report, shown
 
+    from .forecast import Forecast
     from .progress import Lines, LiveView, Quiet
 
     console = output()
-    folder = out or Path("results") / loaded.name
+    console, folder = output(), out or Path("results") / loaded.name
+    if not keep_skipped and (fresh or not (folder / "runs.sqlite").exists()):  # a folder that exists is resumed
+        refuse_dead(loaded)
     what = "runs and proofs" if loaded.proven else "runs"
-    progress = Quiet() if quiet else (LiveView if console.is_terminal else Lines)(console, loaded.error, what)
+    forecast = None if shard or quiet else Forecast(loaded, _workers(address, jobs))
+    progress = Quiet() if quiet else (LiveView if console.is_terminal else Lines)(console, loaded.error, what, forecast)
     try:
         with progress:
             results = run_study(
@@ -78,6 +88,15 @@ def run(
     except KeyboardInterrupt:
         console.print(f"Interrupted: {_progress(folder)}. Run the same command to resume.", markup=False)
         raise typer.Exit(INTERRUPTED) from None
+    _show(results, console, quiet)
+    raise typer.Exit(_outcome(results, quiet))
+
+
+def _show(results: Results, console: Console, quiet: bool) -> None:
+    """Print the report and what was written, or only the failures."""
+    from nfbench.report import print_report, shown
+
+    folder = results.folder
     if quiet:
         for status_, method, count, message in [*results.failures, *_failed_proofs(results)]:
             say(f"nfbench: {status_} × {count}: {method}: {message}", error=True)
@@ -85,7 +104,14 @@ def run(
         print_report(results, console)
         console.print()
         console.print(shown(f"Written to {folder}/: {', '.join(_written(folder))}"), soft_wrap=True)
-    raise typer.Exit(_outcome(results, quiet))
+
+
+def _workers(address: str | None, jobs: int | None) -> str:
+    """Where a study runs, as the end of a clause; empty on a cluster whose size is not known."""
+    if address and not address.startswith("local:"):
+        return ""
+    count = int(address.removeprefix("local:")) if address else os.cpu_count() or 1 if jobs is None else max(jobs, 1)
+    return f" on {count} worker{'s' * (count != 1)}"
 
 
 def _written(folder: Path) -> list[str]:

@@ -17,6 +17,8 @@ from numpy import ndarray
 from .budget import Budget, objective_target
 from .errors import BudgetExhausted, InvalidEvaluation
 from .problem import Problem, check_box
+from .spending import EVERY, Spending
+from .starting import first_point, first_population
 from .trace import Recorder, Trace
 
 __all__ = ["MeteredProblem"]
@@ -61,6 +63,7 @@ class MeteredProblem(Problem):
         self._evaluations = self._gradients = self._nonfinite = 0
         self._best_value = math.inf
         self._best_point: Float[ndarray, " n"] | None = None
+        self._spending = Spending()
         self._lock = threading.Lock()  # for the record of improvements
         self._problem = problem
         self._value = problem.value
@@ -92,6 +95,11 @@ class MeteredProblem(Problem):
     def nonfinite(self) -> int:
         """Number of evaluations whose value was NaN or infinite."""
         return self._nonfinite
+
+    @property
+    def spending(self) -> Spending:
+        """Batches made, and the time inside the problem."""
+        return self._spending
 
     @property
     def best_value(self) -> float:
@@ -153,7 +161,7 @@ class MeteredProblem(Problem):
             raise BudgetExhausted
         self._evaluations += 1  # before the evaluation; without a call since the comparison, threads cannot interleave
         number = self._evaluations
-        value = self._value(x)
+        value = self._value(x) if number % EVERY != 2 else self._spending.time_one(self._value, x)
         if type(value) is not float:
             value = self._scalar(value)
         if not self._best_value <= value < math.inf:  # the rare case; true for NaN
@@ -171,6 +179,7 @@ class MeteredProblem(Problem):
             return np.empty(0)
         self._check_budget()
         self._check_batch(X)
+        self._spending.batches += 1
         return self._evaluate(X) if self._deadline is None else self._evaluate_until(self._deadline, X)
 
     def _evaluate(self, X: ndarray) -> ndarray:
@@ -182,7 +191,12 @@ class MeteredProblem(Problem):
         batch = X[:count]
         if not len(batch):  # another thread made the last evaluation since the check
             raise BudgetExhausted
+        clock = time.perf_counter()
         values = np.array(self._problem.evaluate(batch), dtype=np.float64)
+        clock = time.perf_counter() - clock
+        spending = self._spending
+        spending.batched_s += clock
+        spending.batched += count
         if values.shape != (len(batch),):
             self._reject(f"the problem: expected values of shape ({len(batch)},), got {values.shape}")
         smallest = values[values.argmin()]
@@ -225,19 +239,11 @@ class MeteredProblem(Problem):
 
         It consists of the best points of ``start``, in their order, completed by uniform random points.
         """
-        if self.start is None or self.start_values is None:
-            x = self.from_unit(rng.random((size, self.dimension)))
-            return x, self.evaluate(x)
-        kept = np.sort(np.argsort(self.start_values, kind="stable")[:size])
-        x, f = self.start[kept], self.start_values[kept]
-        more = self.from_unit(rng.random((size - len(x), self.dimension)))
-        return np.vstack([x, more]), np.concatenate([f, self.evaluate(more)])
+        return first_population(self, size, rng)
 
     def first_point(self, rng: np.random.Generator) -> Float[ndarray, " n"]:
         """Return a point of the unit box (n,) to start at: the best of ``start``, or else a uniform random point."""
-        if self.start is None or self.start_values is None:
-            return rng.random(self.dimension)
-        return np.asarray(np.clip(self.to_unit(self.start[self.start_values.argmin()]), 0.0, 1.0))
+        return first_point(self, rng)
 
     def keep_population(self, X: Float[ndarray, "p n"], values: Float[ndarray, " p"]) -> None:
         """Keep the solver's current population and its values, for formulations that use more than the best point.
@@ -280,9 +286,12 @@ class MeteredProblem(Problem):
             raise BudgetExhausted
         self._evaluations += 1
         number = self._evaluations
+        clock = time.perf_counter()
         value, gradient = self._problem.value_and_gradient(x)
+        clock = time.perf_counter() - clock
         with self._lock:
             self._gradients += 1
+            self._spending.gradients_s += clock
         value = self._record(number, x, self._scalar(value))
         if self._deadline is not None:
             self._look_ahead(self._deadline)
@@ -295,16 +304,8 @@ class MeteredProblem(Problem):
         """
         with self._lock:
             limit = sys.maxsize if budget.evaluations is None else budget.evaluations
-            rows = self._recorder.rows
             self._limit = self._deadline = 0  # a thread that the solver left running ends here
-        if self._evaluations > limit:
-            return f"expected at most {limit} evaluations, got {self._evaluations}: the solver changed the budget"
-        last = rows[-1] if rows else (0, 0.0, math.inf)
-        if not isinstance(self._evaluations, int) or self._evaluations < last[0]:
-            return f"expected at least {last[0]} evaluations, got {self._evaluations!r}: the solver changed the count"
-        if type(self._best_value) is not float or self._best_value != last[2]:
-            return f"expected the best value {last[2]!r}, got {self._best_value!r}: the solver changed it"
-        return None
+        return self._recorder.contradiction(self._evaluations, self._best_value, limit)
 
     def _check_point(self, x: ndarray) -> None:
         """Raise an exception if the budget is used up or the point is invalid."""

@@ -122,6 +122,9 @@ def _result(meter: MeteredProblem, budget: Budget, runtime_s: float, status: Sta
         population=population,
         population_values=values,
         reached=isinstance(meter.best_value, float) and meter.reached,
+        evaluation_s=min(meter.spending.inside_s(meter.evaluations, meter.gradients), runtime_s),
+        batches=meter.spending.batches,
+        batched=meter.spending.batched,
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 from jaxtyping import Float
@@ -28,6 +29,9 @@ class Minimum:
     trace: improvements of the best value, thinned to fewer than 1,000 rows.
     population: last population of the solver, (p, n), best point first; None if the solver keeps no population.
     population_values: objective values of the population, (p,); None if the solver keeps no population.
+    evaluation_s: part of ``runtime_s`` inside the problem [s], of single points from a sample; NaN if not known.
+    batches: number of calls that evaluated a batch of points.
+    batched: number of evaluations made in batches; the others were made one by one.
     reached: whether the best point meets the target of the budget; false if there is no target.
     """
 
@@ -43,3 +47,6 @@ class Minimum:
     population: Float[ndarray, "p n"] | None = None
     population_values: Float[ndarray, " p"] | None = None
     reached: bool = False
+    evaluation_s: float = math.nan
+    batches: int = 0
+    batched: int = 0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -55,6 +56,17 @@ class Recorder:
         if len(self.rows) >= MAX_ROWS - 1:  # leaves room for the row that trace() appends
             del self.rows[1:-1:2]
         self.rows.append((evaluation, seconds, value, point))
+
+    def contradiction(self, evaluations: object, best_value: object, limit: int) -> str | None:
+        """What of a meter's count and best value contradicts the budget or the trace; None if nothing does."""
+        count, _, value, _ = self.rows[-1] if self.rows else (0, 0.0, math.inf, None)
+        if isinstance(evaluations, int) and evaluations > limit:
+            return f"expected at most {limit} evaluations, got {evaluations}: the solver changed the budget"
+        if not isinstance(evaluations, int) or evaluations < count:
+            return f"expected at least {count} evaluations, got {evaluations!r}: the solver changed the count"
+        if type(best_value) is not float or best_value != value:
+            return f"expected the best value {value!r}, got {best_value!r}: the solver changed it"
+        return None
 
     def trace(self, dimension: int, evaluations: int, seconds: float) -> Trace:
         """Return the trace after ``evaluations`` evaluations and ``seconds`` seconds."""

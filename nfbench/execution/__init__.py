@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from .compile_ahead import warm_up
+    from .dry_check import dead_formulations, refuse_dead
     from .engine import RunAll, ordered_runner, run_specs
     from .localization import Procedure, localize, procedure, recommended
     from .run_study import Listener, run
@@ -15,10 +16,12 @@ __all__ = [
     "Listener",
     "Procedure",
     "RunAll",
+    "dead_formulations",
     "localize",
     "ordered_runner",
     "procedure",
     "recommended",
+    "refuse_dead",
     "run",
     "run_specs",
     "warm_up",
@@ -28,10 +31,12 @@ _MODULES = {
     "Listener": "run_study",
     "Procedure": "localization",
     "RunAll": "engine",
+    "dead_formulations": "dry_check",
     "localize": "localization",
     "ordered_runner": "engine",
     "procedure": "localization",
     "recommended": "localization",
+    "refuse_dead": "dry_check",
     "run": "run_study",
     "run_specs": "engine",
     "warm_up": "compile_ahead",

@@ -156,6 +156,8 @@ class _Attempt:
         target_reached: 1 if the best point of every problem reached the target, else 0; only where a target was set.
         optimum: known minimum of the first problem, in its unit; only where it is known.
         gradients: number of gradients over all problems; only if there were any.
+        evaluation_s, batches, batched: time inside the problems, number of batches and of the evaluations in them, over
+        all problems; only if there were any evaluations. The time is not known of very short runs.
         """
         facts = {}
         target = (self.spec.method.budget or {}).get("target")
@@ -165,6 +167,11 @@ class _Attempt:
             facts["optimum"] = float(self.optimum)
         if gradients := sum(minimum.gradients for minimum in self.minima):
             facts["gradients"] = float(gradients)
+        if any(minimum.evaluations for minimum in self.minima):
+            inside_s = sum(minimum.evaluation_s for minimum in self.minima)
+            facts |= {} if math.isnan(inside_s) else {"evaluation_s": inside_s}
+            facts["batches"] = float(sum(minimum.batches for minimum in self.minima))
+            facts["batched"] = float(sum(minimum.batched for minimum in self.minima))
         return facts
 
 

@@ -32,6 +32,7 @@ RESERVED = frozenset(
         *("status", "message", "objective"),
         *("evaluations", "runtime_s", "cpu_s", "instance_seed", "solver_seed", "method", "host", "worker", "finished"),
         *("target_reached", "optimum", "gradients", "error_in_bounds"),
+        *("evaluation_s", "batches", "batched"),
     )
 )  # columns that a score must not replace
 

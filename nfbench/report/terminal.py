@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from typing import Any
+from typing import Any, TypeAlias
 
+import numpy as np
 import pandas as pd
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
@@ -26,7 +27,10 @@ AT_END = "so the error is known at the end of a run only"
 FEWEST = 6  # scenes with which a difference between two methods can be significant
 DISPENSABLE = (  # columns that are dropped first, in this order, on a narrow terminal
     *("90 %", "runs", "off by", "95 % interval", "of scenes, 95 %", "ratio, 95 %", "evals", "failed"),
+    *("time", "mean", "median"),
 )
+LABEL = 28  # characters of a method's label that are not wrapped
+Columns: TypeAlias = dict[str, tuple[str, Callable[[Any], str | Text]]]  # by heading: (unit, cell of a row)
 
 
 def print_report(results: Results, console: Console) -> None:
@@ -47,15 +51,14 @@ def print_report(results: Results, console: Console) -> None:
     for note in evidence.hits.notes:
         if not note.endswith(AT_END):  # this only makes costs of hits larger
             console.print(shown(note, "dim"))
-    ranking = evidence.ranking
     tables = list(_by_point(summary))
-    for block, ranks, verdict in zip(ranking.blocks, _by_block(ranking), sentences(ranking), strict=True):
+    for block, ranks, verdict in _overall_first(evidence.ranking):
         console.print()
         if len(block.points) == 1:
             title, rows = tables.pop(0)
             table = summary_table(title, rows, meta["error"], float(meta["outlier_m"]), console, ranks, block)
         else:
-            table = _overall_table(ranks, block)
+            table = _overall_table(ranks, block, console)
         console.print(table)
         console.print(shown(verdict))
     if evidence.unranked:
@@ -63,34 +66,32 @@ def print_report(results: Results, console: Console) -> None:
             console.print(summary_table(title, rows, meta["error"], float(meta["outlier_m"]), console))
         console.print(shown(evidence.unranked))
     _print_claims(evidence.claims(), console)
-    print_parameters(summary, ranking.frame, console, number_text)
+    print_parameters(summary, evidence.ranking.frame, console, number_text)
     print_proofs(evidence.references, results.reference_counts.get("open", 0), console)
     _print_failures(runs, console)
 
 
-def _by_block(ranking: Ranking) -> Iterator[pd.DataFrame]:
-    """Yield the rows of the ranking of each block."""
-    first = 0
-    for block in ranking.blocks:
-        yield ranking.frame.iloc[first : first + len(block.methods)]
+def _overall_first(ranking: Ranking) -> list[tuple[Block, pd.DataFrame, str]]:
+    """Return each block with the rows of its ranking and its verdict; that of all swept points together comes first."""
+    found, first = [], 0
+    for block, verdict in zip(ranking.blocks, sentences(ranking), strict=True):
+        found.append((block, ranking.frame.iloc[first : first + len(block.methods)], verdict))
         first += len(block.methods)
+    return sorted(found, key=lambda each: len(each[0].points) == 1)
 
 
-def _overall_table(ranks: pd.DataFrame, block: Block) -> Table:
-    table = _plain_table("All swept points together")
-    heads = (("solved\n" + _target(block), "95 % interval\n"), ("error\n× first", "95 % interval\n"), ("mean\nrank",))
-    for head in (head for group in heads for head in group):
-        table.add_column(Text(head), justify="right", no_wrap=True)
-    for row in _ordered(ranks, block).to_dict("records"):
-        table.add_row(
-            _marked(row),
-            _percent(row["solved_share"]),
-            _share_interval(row),
-            number_text(row["error_ratio"]),
-            _interval(row["ratio_low"], row["ratio_high"]),
-            number_text(row["mean_rank"]),
-        )
-    return table
+def _overall_table(ranks: pd.DataFrame, block: Block, console: Console) -> Table:
+    """The table of all swept points together, with as many columns as fit the console."""
+    columns: Columns = {
+        "solved": (_target(block), lambda row: _percent(row["solved_share"])),
+        "of scenes, 95 %": ("interval", _share_interval),
+        "error": ("× first", lambda row: number_text(row["error_ratio"])),
+        "ratio, 95 %": ("interval", lambda row: _interval(row["ratio_low"], row["ratio_high"])),
+        "cost": ("evals/hit", lambda row: _cost(row["ert"])),
+        "mean": ("rank", lambda row: number_text(row["mean_rank"])),
+    }
+    rows = _ordered(ranks.assign(ert=block.ert), block)
+    return _fitting("All swept points together", rows, columns, console)
 
 
 def _print_claims(claims: pd.DataFrame, console: Console) -> None:
@@ -202,11 +203,12 @@ def summary_table(
     metres = error == "rmse_m"
     name, unit = ("RMSE", "m") if metres else (f"RMS {error}", "")
     median, q90 = ("median_m", "q90_m") if metres else (f"{error}_median", f"{error}_q90")
-    columns: dict[str, tuple[str, Callable[[Any], str | Text]]] = {  # heading: (unit, cell of a row)
+    columns: Columns = {
         "median": (unit, lambda row: number_text(row[median])),
         "95 % interval": (unit, lambda row: _interval(row[f"{median}_low"], row[f"{median}_high"])),
         "90 %": (unit, lambda row: number_text(row[q90])),
         name: (unit, lambda row: number_text(row[error])),
+        "bound": ("m", lambda row: number_text(row["crb_m"])),
         "off by": (f"> {outlier_m:g} m", lambda row: _percent(row["outlier_rate"])),
         "evals": ("", lambda row: _count(row["evaluations"])),
         "time": ("s", lambda row: number_text(row["runtime_s"])),
@@ -215,22 +217,33 @@ def summary_table(
     }
     if not metres:
         del columns["off by"]
+    if not metres or not np.isfinite(rows["crb_m"].to_numpy(dtype=np.float64)).any():
+        del columns["bound"]
     if ranks is not None and block is not None:
         own = ["solved_share", "solved_low", "solved_high", "error_ratio", "ratio_low", "ratio_high", "in_best_set"]
-        rows = _ordered(ranks, block)[["method", *own]].merge(rows, on="method", sort=False)
+        ranks = ranks.assign(ert=block.ert)
+        rows = _ordered(ranks, block)[["method", "ert", *own]].merge(rows, on="method", sort=False)
         columns = {
             "solved": (_target(block), lambda row: _percent(row["solved_share"])),
             "of scenes, 95 %": ("interval", _share_interval),
             "error": ("× first", lambda row: number_text(row["error_ratio"])),
             "ratio, 95 %": ("interval", lambda row: _interval(row["ratio_low"], row["ratio_high"])),
+            "cost": ("evals/hit", lambda row: _cost(row["ert"])),
             **columns,
         }
     else:
         rows = rows.sort_values(error, na_position="last")
+    return _fitting(where, rows, columns, console)
+
+
+def _fitting(where: str, rows: pd.DataFrame, columns: Columns, console: Console) -> Table:
+    """The table with as many columns as fit the console."""
+    columns, longest = dict(columns), max((len(_marked(row)) for row in rows.to_dict("records")), default=0)
     while True:
         table = _table(where, rows, columns)
         droppable = [head for head in DISPENSABLE if head in columns]
         wanted = console.measure(table, options=console.options.update(max_width=1000)).maximum
+        wanted -= max(longest - LABEL, 0)
         if wanted <= console.width or not droppable:
             return table
         del columns[droppable[0]]
@@ -269,16 +282,17 @@ def _share_interval(row: dict[Any, Any]) -> str:
     return "" if math.isnan(low) else f"{100 * low:.0f} – {100 * high:.0f} %"
 
 
-def _plain_table(where: str) -> Table:
+def _plain_table(where: str, width: int) -> Table:
     table = Table(
         title=shown(where) if where else None, title_justify="left", title_style="bold", box=SIMPLE_HEAD, pad_edge=False
     )
-    table.add_column("method\n", overflow="fold")
+    table.add_column("method\n", overflow="fold", min_width=width)
     return table
 
 
-def _table(where: str, rows: pd.DataFrame, columns: dict[str, tuple[str, Callable[[Any], str | Text]]]) -> Table:
-    table = _plain_table(where)
+def _table(where: str, rows: pd.DataFrame, columns: Columns) -> Table:
+    longest = max((len(_marked(row)) for row in rows.to_dict("records")), default=0)
+    table = _plain_table(where, min(longest, LABEL))
     for head, (measure, _) in columns.items():
         table.add_column(Text(f"{printable(head)}\n{measure}"), justify="right", no_wrap=True)
     for row in rows.to_dict("records"):
@@ -306,6 +320,11 @@ def _interval(low: float, high: float) -> str:
 
 def _percent(share: float) -> str:
     return "–" if math.isnan(share) else f"{share:.0%}"
+
+
+def _cost(ert: float) -> str:
+    """Evaluations per hit; a dash where there was no hit, or no evaluation."""
+    return f"{ert:,.0f}" if 0 < ert < math.inf else "–"
 
 
 def _count(value: float) -> str:

@@ -11,6 +11,7 @@ from .results import Results
 from .store import Store
 
 if TYPE_CHECKING:
+    from .choosing import choose
     from .comparison import Comparison, compare
     from .evidence import Evidence
     from .export_as_coco import export_coco
@@ -31,6 +32,7 @@ __all__ = [
     "Results",
     "Store",
     "cell",
+    "choose",
     "compare",
     "export_coco",
     "export_csv",
@@ -50,6 +52,7 @@ __all__ = [
 ]
 
 _MODULES = {
+    "choose": "choosing",
     "Comparison": "comparison",
     "compare": "comparison",
     "Evidence": "evidence",

@@ -24,6 +24,7 @@ __all__ = ["merge", "missing_shards"]
 
 _SAME = ("name", "seed", "plan")
 _REPAIR = "`nfbench run STUDY.toml` with --out on the merged folder"
+_COSTS = ("evaluation_s", "batches", "batched")  # of a run, beside its scores
 _LOCAL = ("schema", "shard", "shards", "tabled", "plan_rows")  # properties that are not taken from other folders
 
 
@@ -183,7 +184,15 @@ def _proven(row: tuple[Any, ...]) -> tuple[Any, ...]:
 
 def _computed(row: tuple[Any, ...]) -> tuple[Any, ...]:
     """What must be equal in two executions of one run: status, objective, evaluations, scores, estimate."""
-    return (row[1], row[3], row[4], row[7], row[8])
+    return (row[1], row[3], row[4], _without_costs(row[7]), row[8])
+
+
+def _without_costs(scores: Any) -> Any:
+    """The scores without the time inside the problem, and without what older versions did not record."""
+    try:
+        return {name: score for name, score in json.loads(scores).items() if name not in _COSTS}
+    except (TypeError, ValueError, AttributeError, RecursionError):  # damaged: compared as it is
+        return scores
 
 
 def _finished(sources: Sequence[Path], out: Path, warn: Callable[[str], object]) -> Results:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from .claims import Claim, Compare, Names, claim_of
 from .manifest import load_methods, load_scenarios, load_study, scene_numbers
-from .plan import Study
+from .plan import Study, scene_seed
 from .reading import MANIFEST_FOLDER
 from .records import Method, PluginSpec, Point, RunRecord, RunSpec, swept_column
 from .resolve import ErrorCollector, Resolved, Resolver
@@ -28,5 +28,6 @@ __all__ = [
     "load_scenarios",
     "load_study",
     "scene_numbers",
+    "scene_seed",
     "swept_column",
 ]

@@ -20,6 +20,7 @@ from nfbench import (
     OptionError,
     Problem,
     Solver,
+    SolverInfo,
     Status,
     minimize,
 )
@@ -471,3 +472,54 @@ def test_a_part_has_no_start_and_no_target_of_its_own():
     meter.begin(np.zeros((2, 2)))
     part = meter.part(evaluations=5)
     assert part.start is None and not part.reached and part.minimum is None
+
+
+class OnTheClock(Problem):
+    """A problem in the plane whose evaluations take the fake clock a second each, and gradients three."""
+
+    has_gradient = True
+
+    def __init__(self, clock):
+        self.lower, self.upper, self.clock = np.full(2, -1.0), np.full(2, 1.0), clock
+
+    def evaluate(self, X):
+        self.clock.now += len(X)
+        return (X**2).sum(axis=1)
+
+    def value_and_gradient(self, x):
+        self.clock.now += 3.0
+        return float(x @ x), 2 * x
+
+
+def test_the_time_inside_the_problem_leaves_out_that_of_the_solver(monkeypatch):
+    clock = Clock(monkeypatch)
+    meter = MeteredProblem(OnTheClock(clock), Budget(evaluations=1000))
+    assert math.isclose(meter.spending.inside_s(0, 0), 0.0)
+    meter(np.zeros(2))
+    assert math.isnan(meter.spending.inside_s(1, 0)), "one point is not timed"
+    for size in (50, 7):
+        clock.now += 100.0  # the solver's own work
+        meter.evaluate(np.zeros((size, 2)))
+    assert meter.spending.inside_s(58, 0) == 58.0, "the single point counts like those of the batches"
+    for _ in range(64):
+        clock.now += 100.0
+        meter(np.zeros(2))
+    meter.value_and_gradient(np.zeros(2))
+    assert (meter.evaluations, meter.spending.timed) == (123, 4)
+    assert meter.spending.inside_s(123, 1) == 122 + 3
+    assert (meter.spending.batches, meter.spending.batched) == (2, 57)
+
+
+def test_the_minimum_says_what_the_evaluations_took(monkeypatch):
+    clock = Clock(monkeypatch)
+
+    class Thinks(Solver):
+        info = SolverInfo()
+
+        def minimize(self, problem, rng):
+            clock.now += 9.0
+            problem.evaluate(rng.random((20, 2)))
+            problem.part(evaluations=5).evaluate(rng.random((5, 2)))
+
+    found = minimize(OnTheClock(clock), Thinks(), 100)
+    assert (found.evaluation_s, found.runtime_s, found.batches, found.batched) == (25.0, 34.0, 2, 25)

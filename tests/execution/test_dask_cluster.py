@@ -20,7 +20,7 @@ from nfbench import NfbenchError, load_study
 from nfbench.cli.entry import app as cli
 from nfbench.execution import dask_cluster as cluster
 
-TIMES = ["runtime_s", "cpu_s"]
+TIMES = ["runtime_s", "cpu_s", "evaluation_s"]
 PATIENCE = 60.0  # seconds until a test gives up waiting for a process
 LONGER = BASIC.replace("40", "8000")  # runs that last some tenths of a second
 

@@ -18,7 +18,7 @@ from nfbench import NfbenchError, Status, StoreError, load_study
 from nfbench.execution import process_pool as isolation
 from nfbench.execution.process_pool import ProcessPool
 
-TIMES = ["runtime_s", "cpu_s"]
+TIMES = ["runtime_s", "cpu_s", "evaluation_s"]
 HOSTILE = {
     "sleeps": ("timeout", "stopped after run_timeout_s = 1.5 s"),
     "spins": ("timeout", "stopped after run_timeout_s = 1.5 s"),

@@ -17,7 +17,7 @@ import nfbench
 from nfbench import ManifestError, Status, load_study
 from nfbench.results import merge
 
-TIMES = ["runtime_s", "cpu_s"]
+TIMES = ["runtime_s", "cpu_s", "evaluation_s"]
 HEAD = """
 name = "proofs"
 scenes = {scenes}

@@ -11,7 +11,7 @@ from conftest import BASIC
 import nfbench
 from nfbench import Status, StoreError, load_study
 
-TIMES = ["runtime_s", "cpu_s"]
+TIMES = ["runtime_s", "cpu_s", "evaluation_s"]
 SWEPT = BASIC + '[[formulation]]\nkind = "twice"\n[[formulation]]\nkind = "oracle"\n[sweep]\ndimension = [2, 3]\n'
 
 
@@ -29,7 +29,7 @@ def test_every_run_is_a_row_with_the_public_columns(manifest, tmp_path):
     assert list(runs.columns) == [
         *("run_id", "study", "scenario", "formulation", "solver", "repetition", "scene", "run", "scenario.dimension"),
         *("status", "message", "rmse_m", "objective", "evaluations", "runtime_s", "cpu_s"),
-        *("instance_seed", "solver_seed", "method", "error_1_m", "gap"),
+        *("instance_seed", "solver_seed", "method", "batched", "batches", "error_1_m", "evaluation_s", "gap"),
     ]
     assert len(runs) == 3 * 2 * 3 == results.counts["ok"] + results.counts["skipped"]
     once = runs[runs.formulation == "once"]

@@ -90,6 +90,12 @@ def test_gradients_are_a_column_where_there_were_any(record):
     assert found.status is Status.OK and found.scores["gradients"] == found.evaluations == 200
 
 
+def test_the_time_inside_the_problems_and_the_batches_are_columns(record):
+    found = record(functions())
+    assert 0 < found.scores["evaluation_s"] < found.runtime_s
+    assert found.scores["batches"] == found.evaluations / 50 and found.scores["batched"] == found.evaluations
+
+
 @pytest.mark.parametrize("kind", ["error", "error_in_bounds"])
 def test_an_error_ends_the_run_and_the_estimate_keeps_it(record, kind):
     free = record(near_field('kind = "neef"'))

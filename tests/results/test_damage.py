@@ -171,7 +171,7 @@ def test_no_traces_are_unpickled(damaged, tmp_path):
 
 # --- rescue ----------------------------------------------------------------------------------------------------------
 
-TIMES = ["runtime_s", "cpu_s"]
+TIMES = ["runtime_s", "cpu_s", "evaluation_s"]
 
 
 def rescued(folder, out):

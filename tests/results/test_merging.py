@@ -16,7 +16,7 @@ from nfbench.results.comparison import compare
 from nfbench.results.merging import merge
 
 SWEPT = BASIC + '[[formulation]]\nkind = "oracle"\n[sweep]\ndimension = [2, 3]\n'
-TIMES = ["runtime_s", "cpu_s"]
+TIMES = ["runtime_s", "cpu_s", "evaluation_s"]
 
 
 def run(path, out, **options):
