@@ -14,6 +14,7 @@ from numpy import ndarray
 from nfbench import FilePath, Ge, Instance, Le, Lt, OptionError
 
 from ..bands import Band
+from .elements import elements_text, leave_out
 from .files import read_array
 from .instance import RecordedInstance
 from .measurement import covariance_factor, dead_channels, normalized, oriented, spectral_snapshots
@@ -135,9 +136,9 @@ class Recorded(Measured):
         theta, dead = self._theta(), dead_channels(self._data.Y)
         found = super().warnings() + ([] if theta is None else self.outside("truth_m", theta))
         if dead:
-            listed = ", ".join(str(self.working[m]) for m in dead)
-            text = f"data: elements {listed} (counted from 0) are at least 40 dB weaker than the median"
-            found.append(f"{text}; leave them out: failed = [{listed}]")
+            numbers = [self.working[m] for m in dead]
+            text = f"data: {elements_text(numbers, self.array.element_names)} {'is' if len(dead) == 1 else 'are'}"
+            found.append(f"{text} at least 40 dB weaker than the median; {leave_out(numbers)}")
         return found
 
     def draw(self, rng: np.random.Generator) -> RecordedInstance:

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from nfbench import Ge, Gt, Le, Lt, OptionError, Scenario
+from nfbench import Ge, Gt, Le, Lt, OptionError, Scenario, nearest
 
 from ..arrays import AnyArray, unusual
 from ..carrier import Frequency, Speed, Wavelength, carrier_problems, carrier_wavelength
@@ -164,8 +164,9 @@ class Measured(Scenario, ABC):
         names, M, problems = self.array.element_names, self.array.count, []
         for i, which in enumerate(self.failed):
             if isinstance(which, str) and which not in names:
-                known = ", ".join(names[:12]) or "none"
-                text = f"expected a number or the name of an element, got {which!r}; names: {known}"
+                near = nearest(which, names)
+                hint = f'did you mean "{near}"?' if near else f"names: {', '.join(names[:12]) or 'none'}"
+                text = f"expected a number or the name of an element, got {which!r}; {hint}"
                 problems.append((f"failed[{i}]", text))
             elif isinstance(which, int) and which >= M:
                 problems.append((f"failed[{i}]", f"expected the number of an element, 0 to {M - 1}, got {which}"))
