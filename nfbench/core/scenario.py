@@ -41,12 +41,20 @@ class Instance(ABC):
     def positions(self, estimate: ndarray) -> tuple[ndarray, ndarray] | None:
         """Return the true and the estimated positions of the sources for ``positions.csv`` and figures, Cartesian [m].
 
-        These are two arrays, of shape (K, 3) and with at least K rows. Row k of the second one is the estimate assigned
-        to source k, or NaN if no estimate is assigned to it. Rows beyond K are the estimates that are assigned to no
-        source, which are all of them if K is 0 because the truth is not known. The default is None, which means that
-        there are no positions to show. It is called for estimates whose ``score`` is valid.
+        They are in the coordinates in which the user describes the array. If angles and ranges are measured from
+        another point or other axes than x, y and z, three more columns have the azimuth, the elevation [rad] and the
+        range [m]; else these follow from x, y and z.
+
+        The two arrays have K rows and at least K rows. Row k of the second one is the estimate assigned to source k, or
+        NaN if no estimate is assigned to it. Rows beyond K are the estimates that are assigned to no source, which are
+        all of them if K is 0 because the truth is not known. The default is None, which means that there are no
+        positions to show. It is called for estimates whose ``score`` is valid.
         """
         return None
+
+    def origin(self) -> ndarray:
+        """Return the point from which ranges are measured, (3,) [m], in the coordinates of ``positions``."""
+        return np.zeros(3)
 
     def describe(self, estimate: ndarray, columns: Mapping[str, float]) -> Localization | None:
         """Return what an estimate says about the sources, for ``nfbench localize``; None if there is nothing to say.

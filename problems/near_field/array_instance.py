@@ -66,6 +66,9 @@ class ArrayInstance(Instance, ABC):
     def sources(self) -> int:
         """The number K of sources that formulations with ``sources = "known"`` search for."""
 
+    def origin(self) -> Float[ndarray, " 3"]:
+        return self.frame.origin
+
     def describe(self, estimate: Float[ndarray, "found d"], columns: Mapping[str, float]) -> Localization:
         """Return the positions, standard errors, goodness of fit and warnings of an estimate (K̂, d) [rad, m].
 

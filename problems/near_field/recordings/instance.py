@@ -15,7 +15,7 @@ from ..array_instance import ArrayInstance
 from ..bands import Band
 from ..floor import local_fit
 from ..geometry import Frame, cartesian
-from ..instance import position_errors, position_scores, positions_of
+from ..instance import assigned_positions, position_errors, position_scores, positions_of
 from ..wavefronts import Manifold
 
 __all__ = ["RecordedInstance"]
@@ -113,9 +113,11 @@ class RecordedInstance(ArrayInstance):
         errors = position_errors(self.theta, estimates) if self.theta is not None and measure == "rmse_m" else None
         return super().errors(measure, estimates) if errors is None else errors
 
-    def positions(self, estimate: Float[ndarray, "q d"]) -> tuple[Float[ndarray, "k 3"], Float[ndarray, "_ 3"]]:
+    def positions(
+        self, estimate: Float[ndarray, "q d"]
+    ) -> tuple[Float[ndarray, "k columns"], Float[ndarray, "_ columns"]]:
         theta = np.empty((0, self.manifold.dimension)) if self.theta is None else self.theta
-        return positions_of(theta, estimate)
+        return positions_of(theta, estimate, self.frame)
 
     @cached_property
     def _floor(self) -> dict[str, float]:
@@ -142,7 +144,7 @@ def _along_and_across(theta: Float[ndarray, "k d"], estimate: Float[ndarray, "fo
     """Return the errors along the lines of sight, with their sign, and perpendicular to them [m]."""
     if not len(estimate) or not np.isfinite(estimate).all():
         return {"range_bias_m": math.nan, "cross_range_m": math.nan}
-    truth, matched = positions_of(theta, estimate)
+    truth, matched = assigned_positions(theta, estimate)
     matched = matched[: len(truth)]
     paired = np.isfinite(matched).all(axis=1)
     truth, matched = truth[paired], matched[paired]
