@@ -125,6 +125,13 @@ class Scenario(Options, ABC):
         """
         return []
 
+    def differences(self, other: Scenario) -> list[str]:
+        """Return sentences about how another scenario, whose results are to hold for this one, differs from it.
+
+        ``nfbench localize --study`` calls it with the scenario of the study. The default is an empty list.
+        """
+        return []
+
     @classmethod
     def survey(cls, options: Mapping[str, Any]) -> Survey | None:
         """Return what is worth knowing about the array in some options of the scenario, for ``nfbench show array``.

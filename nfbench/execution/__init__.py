@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from .compile_ahead import warm_up
     from .engine import RunAll, ordered_runner, run_specs
-    from .localization import Procedure, localize, procedure, recommended
+    from .localization import localize
+    from .procedures import Procedure, procedure, recommended
     from .run_study import Listener, run
 
 __all__ = [
@@ -26,12 +27,12 @@ __all__ = [
 
 _MODULES = {
     "Listener": "run_study",
-    "Procedure": "localization",
+    "Procedure": "procedures",
     "RunAll": "engine",
     "localize": "localization",
     "ordered_runner": "engine",
-    "procedure": "localization",
-    "recommended": "localization",
+    "procedure": "procedures",
+    "recommended": "procedures",
     "run": "run_study",
     "run_specs": "engine",
     "warm_up": "compile_ahead",

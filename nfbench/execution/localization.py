@@ -5,7 +5,7 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,6 @@ import numpy as np
 from numpy import ndarray
 
 from nfbench.core import (
-    Budget,
     Formulation,
     Instance,
     Localization,
@@ -23,41 +22,22 @@ from nfbench.core import (
     Problem,
     Scenario,
     Solution,
-    Solver,
     Status,
-    budget_problem,
     common_start,
     explain,
     minimize,
     start_problem,
 )
 from nfbench.plugins import Registry
-from nfbench.results import Results
-from nfbench.study import load_methods
 
+from .procedures import Procedure, procedure
 from .storable import Unstorable, plain_estimate
 
-__all__ = ["Procedure", "localize", "procedure", "recommended"]
+__all__ = ["localize"]
 
-EVALUATIONS = 20_000  # of a solver whose budget is not given
 SCENARIO = "recorded"
 OF_ARRAY = ("broadside", "up", "unit", "origin")  # options of an array that is given by its positions
 FILES_KNOWN = {"gains_file": "known_gains", "noise_file": "known_noise"}  # what a formulation knows from files
-
-
-@dataclass(frozen=True)
-class Procedure:
-    """A formulation and, where it needs one, a solver with its budget.
-
-    start: number of points of a common start for the solver; None: the solver starts by itself.
-    label: name of the method in a study; empty if it is not from a study.
-    """
-
-    formulation: Formulation
-    solver: Solver | None = None
-    budget: Budget | None = None
-    start: int | None = None
-    label: str = ""
 
 
 def localize(
@@ -95,65 +75,9 @@ def localize(
         how = _knowing(_estimating(how) if estimated else how, options)
         scenario.warm_up()
         instance = scenario.draw(np.random.default_rng(seed))
-    return _described(scenario, instance, how, seed)
-
-
-def procedure(
-    method: str,
-    options: Mapping[str, Any] | None = None,
-    solver_options: Mapping[str, Any] | None = None,
-    *,
-    evaluations: int | None = None,
-    seconds: float | None = None,
-    plugins: Iterable[str | Path] = (),
-) -> Procedure:
-    """Return the method with a name such as "grid-refine" or "neef + de", and its options and budget.
-
-    Raises NfbenchError if the formulation and the solver do not fit together.
-    """
-    name, plus, solver_name = (part.strip() for part in method.partition("+"))
-    registry = Registry(plugins)
-    formulation = registry.make("formulation", name, dict(options or {}))
-    if not formulation.needs_solver:
-        if plus or solver_options or evaluations is not None or seconds is not None:
-            text = f"{name} needs no solver, so it takes no solver, options of a solver, evaluations or seconds"
-            raise NfbenchError(f"method: {text}, got {method!r}")
-        return Procedure(formulation)
-    if not solver_name:
-        raise NfbenchError(f'method: {name} needs a solver, got none; for example, "{name} + de"')
-    solver = registry.make("solver", solver_name, dict(solver_options or {}))
-    if evaluations is None and seconds is None:
-        evaluations = EVALUATIONS
-    budget = Budget(evaluations=evaluations, seconds=seconds)
-    if problem := budget_problem(solver, budget):
-        raise NfbenchError(f"method: {problem}")
-    return Procedure(formulation, solver, budget)
-
-
-def recommended(folder: str | Path, plugins: Iterable[str | Path] = ()) -> Procedure:
-    """Return the method that a study recommends over all its swept points, as the report names it.
-
-    Raises StoreError or NfbenchError if the folder holds no study, or if the study recommends no method.
-    """
-    results = Results(Path(folder))
-    blocks = results.evidence().ranking.blocks
-    best = [block.methods[block.order[0]] for block in blocks[-1:] if block.order]
-    if blocks and not best and len(blocks[-1].methods) == 1:
-        best = list(blocks[-1].methods)
-    if not best:
-        raise NfbenchError(f"{folder}: the study recommends no method yet; run more scenes, or give the method")
-    methods = {method.label: method for method in load_methods(results.folder / "manifest.toml", plugins)}
-    if (chosen := methods.get(best[0])) is None:
-        raise NfbenchError(f"{folder}: the study recommends {best[0]}, which is not in its manifest.toml")
-    registry = Registry(plugins)
-    if broken := chosen.formulation.broken or (chosen.solver.broken if chosen.solver else None):
-        raise NfbenchError(f"{folder}: the study recommends {best[0]}, which is not available: {broken}")
-    formulation = registry.make("formulation", chosen.formulation.kind, chosen.formulation.options)
-    if chosen.solver is None:
-        return Procedure(formulation, label=best[0])
-    solver = registry.make("solver", chosen.solver.kind, chosen.solver.options)
-    limits = {name: value for name, value in (chosen.budget or {}).items() if name in ("evaluations", "seconds")}
-    return Procedure(formulation, solver, Budget(**limits), (chosen.budget or {}).get("start"), best[0])
+    found = _described(scenario, instance, how, seed)
+    warnings = [*how.unlike(scenario), *_unknown(how, options), *found.warnings]
+    return replace(found, warnings=tuple(dict.fromkeys(warnings)), method=how.described(seed))
 
 
 def _described(scenario: Scenario, instance: Instance, how: Procedure, seed: int) -> Localization:
@@ -223,6 +147,19 @@ def _knowing(how: Procedure, options: Mapping[str, Any]) -> Procedure:
     """The same method, which knows what the files of the scenario say about the array and the noise."""
     known = {name: True for file, name in FILES_KNOWN.items() if options.get(file) and _has(how.formulation, name)}
     return replace(how, formulation=_with(how.formulation, **known))
+
+
+def _unknown(how: Procedure, options: Mapping[str, Any]) -> list[str]:
+    """Return a warning if a study has chosen a method that knows what the recording does not say."""
+    missing = [
+        file for file, name in FILES_KNOWN.items() if getattr(how.formulation, name, False) and not options.get(file)
+    ]
+    if not how.study or not missing:
+        return []
+    known = ", ".join(FILES_KNOWN[file] for file in missing)
+    return [
+        f"in the study the method knows more than here ({known}); give {' and '.join(missing)}, or simulate without"
+    ]
 
 
 def _has(formulation: Formulation, option: str) -> bool:

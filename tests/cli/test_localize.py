@@ -54,7 +54,7 @@ def test_the_table_and_the_files_agree(folder):
     done = localize("y.npy", *ARRAY, *WAVE, *BOX, "--sources", 2, "--method", "grid-refine", *files)
     assert done.exit_code == 0, (done.output, done.exception)
     table = json.loads((folder / "o.json").read_text())
-    assert list(table) == ["sources", "fit", "warnings"] and table["warnings"] == []
+    assert list(table) == ["sources", "fit", "method", "warnings"] and table["warnings"] == []
     expected = [*SOURCE_COLUMNS, *(f"std_{name}" for name in SOURCE_COLUMNS), "snr_db"]
     assert [list(source) for source in table["sources"]] == [expected, expected]
     assert places(table) == pytest.approx(SOURCES, abs=0.01)

@@ -35,7 +35,7 @@ def test_the_table_has_units_and_the_digits_of_the_standard_error():
 
 def test_json_has_null_for_what_is_not_known():
     table = json.loads(localization_json(FOUND))
-    assert list(table) == ["sources", "fit", "warnings"]
+    assert list(table) == ["sources", "fit", "method", "warnings"]
     assert table["sources"][0]["std_range_m"] is None and table["sources"][0]["x_m"] == 0.123456
     assert table["fit"] == {"misfit": 0.25, "p_value": None, "elements": 64, "noise_power": None}
 

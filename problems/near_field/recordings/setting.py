@@ -21,6 +21,7 @@ from ..geometry import Frame, azimuth_near
 from ..objectives import kernels
 from ..wavefronts import Manifold, Wavefront
 from .files import content_hash
+from .likeness import unlike
 from .measurement import spherical
 
 __all__ = ["Finite", "Measured", "Positive"]
@@ -128,6 +129,9 @@ class Measured(Scenario, ABC):
     def warnings(self) -> list[str]:
         low, high = np.array(self.azimuth_deg) - 360 * round(sum(self.azimuth_deg) / 720)
         return list(unusual(self.array, self.wavelength, faces_forward=bool(low >= -90 and high <= 90)))
+
+    def differences(self, other: Scenario) -> list[str]:
+        return unlike(self, other)
 
     def outside(self, name: str, theta: Float[ndarray, "k d"]) -> list[str]:
         """Return a sentence if sources lie outside the box, where no method can find them."""
