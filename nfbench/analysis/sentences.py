@@ -11,7 +11,7 @@ from numpy import ndarray
 from scipy.special import ndtri
 
 from .intervals import ratio_interval
-from .ranking import ALL, SHARES, Block, Ranking, typical_seconds
+from .ranking import ALL, ERROR_TIE, SHARES, Block, Ranking, share_solved, typical_errors, typical_seconds
 from .sign_flips import hit_scores, log_ratios
 
 __all__ = ["names", "sentence", "sentences"]
@@ -90,12 +90,14 @@ def _most_accurate(block: Block, reliable: list[int]) -> str:
     accurate, name = _members(block, "error"), _measure(block)
     if len(reliable) == 1:
         return ""
+    which = "all" if len(reliable) == len(block.methods) else "these"
+    among = f"Among {which} {len(reliable)} methods"
     stage = block.stage("error")
     if stage is not None and len(accurate) == len(reliable) and stage.traded.any():
-        return f"Among these, a lower {name} comes with visibly more failures."
+        return f"{among}, a lower {name} comes with visibly more failures."
     if len(accurate) == len(reliable):
-        return f"Among these, no difference in {name} is significant."
-    return f"Among these, {names([block.methods[i] for i in accurate])} {_has(accurate)} the lowest {name}."
+        return f"{among}, no difference in {name} is significant."
+    return f"{among}, {names([block.methods[i] for i in accurate])} {_has(accurate)} the lowest {name}."
 
 
 def _recommended(block: Block) -> str:
@@ -107,9 +109,26 @@ def _recommended(block: Block) -> str:
         return f"No method of the best set has a known cost to hit the target; first by mean rank: {method}{others}."
     per_hit = f"{cost:,.0f} evaluations per hit" if cost >= 10 else f"{cost:.3g} evaluations per hit"
     if cost == 0:  # a method without a solver
-        per_hit = f"{typical_seconds(block.points, first):.3g} s to a hit"
-    how = "the cheapest of them" if rest or len(_members(block, "reliability")) > 1 else "alone in the best set"
+        per_hit = f"typically {typical_seconds(block.points, first):.3g} s from the start of a run to its hit"
+    how = _reason(block) if rest else "alone in the best set"
+    if not rest and len(_members(block, "reliability")) > 1:
+        how = "the cheapest of them"
     return f"Recommended: {method}, {how} ({per_hit}){others}."
+
+
+def _reason(block: Block) -> str:
+    """State what puts the recommended method before the others of the final set, none of which is significant."""
+    first, *rest = block.order
+    shares = [share_solved(block.points, i) for i in block.order]
+    if shares[0] > max(shares[1:]):
+        return f"which solved the most of {len(shares)} methods that are not significantly different"
+    equal = [i for i, share in zip(rest, shares[1:], strict=True) if share == shares[0]]
+    error = typical_errors(block.points)
+    if block.stage("error") is not None and all(error[i] > ERROR_TIE * error[first] for i in equal):
+        return (
+            "the most accurate of those that solved the most" if len(equal) < len(rest) else "the most accurate of them"
+        )
+    return "the cheapest of those that solved the most" if len(equal) < len(rest) else "the cheapest of them"
 
 
 def _measure(block: Block) -> str:

@@ -58,10 +58,10 @@ class Procedure:
 
     def unlike(self, scenario: Scenario) -> list[str]:
         """Return a warning if the study that recommends the method has measured something else than a scenario."""
-        differences = [scenario.differences(each) for each in self.scenarios]
-        if not differences or not all(differences):
+        found: list[list[str]] = sorted((scenario.differences(each) for each in self.scenarios), key=len)
+        if not found or not found[0]:
             return []
-        text = f"the study {self.study} may not hold for this recording: {', and '.join(min(differences, key=lambda found: len(found)))}"
+        text = f"the study {self.study} may not hold for this recording: {', and '.join(found[0])}"
         return [f"{text}; simulate this array at this wavelength, or choose the method (--method)"]
 
 
