@@ -46,6 +46,7 @@ def sentence(block: Block, *, stopped: bool = False) -> str:
 
 def names(labels: Sequence[str], most: int = MOST) -> str:
     """Return the labels as a list in words: "a, b and c", or the first few "and 12 more"."""
+    labels = [f'"{label}"' if "," in label or " and " in label else label for label in labels]
     if len(labels) > most + 1:
         return f"{', '.join(labels[:most])} and {len(labels) - most} more"
     return " and ".join(filter(None, [", ".join(labels[:-1]), *labels[-1:]]))
@@ -65,7 +66,7 @@ def _ranked(block: Block, over: str, stopped: bool) -> list[str]:
         return [over + _unranked(block), *_no_miss(block)]
     parts = []
     reliable = _members(block, "reliability")
-    hit = f"hit {block.points[0].target}" if block.points[0].target else "end with an estimate"
+    hit = f"hit {_target(block)}" if block.points[0].target else "end with an estimate"
     if len(reliable) == k:
         parts.append(f"{over}on {_scenes(n)} none of {k} methods is significantly more likely to {hit} than another.")
     else:
@@ -193,8 +194,15 @@ def _solved(block: Block, i: int) -> str:
     """State how many runs of a method hit the target."""
     hits = sum(int(each.hits[:, i].sum()) for each in block.points)
     runs = sum(int(each.runs[i]) for each in block.points) * block.n
-    target = block.points[0].target
+    target = _target(block)
     return f"{hits} of {runs} runs {f'hit {target}' if target else 'ended with an estimate'}"
+
+
+def _target(block: Block) -> str:
+    """The first target, with its unit if it is an error in metres; empty if there is none."""
+    first = block.points[0]
+    metres = first.target.startswith("error") and "bound" not in first.target and first.error_name.endswith("_m")
+    return f"{first.target} m" if metres else first.target
 
 
 def _members(block: Block, name: str) -> list[int]:

@@ -34,8 +34,9 @@ def print_localization(found: Localization, console: Console) -> None:
     for note in found.notes:
         console.print(shown(note))
     if found.fit:
-        facts = (f"{_heading(name)} {value:.4g}" for name, value in found.fit.items() if not math.isnan(value))
-        console.print(shown(f"Fit: {', '.join(facts)}"))
+        facts = [_fact(name, value) for name, value in found.fit.items() if not math.isnan(value)]
+        for line in _lines("Fit: ", facts, console.width):
+            console.print(shown(line))
     if found.method:
         console.print(shown(f"Method: {_method_text(found.method)}"))
     for warning in found.warnings:
@@ -64,6 +65,23 @@ def localization_csv(found: Localization) -> str:
         values = _plain(source)
         writer.writerow([k, *("" if values.get(name) is None else repr(values[name]) for name in names)])
     return text.getvalue()
+
+
+def _fact(name: str, value: float) -> str:
+    """A number of the fit with its name; a probability that is too small for a float is not 0."""
+    return f"{_heading(name)} < 1e-300" if name == "p_value" and value == 0 else f"{_heading(name)} {value:.4g}"
+
+
+def _lines(start: str, parts: list[str], width: int) -> list[str]:
+    """The parts of a list in lines that break only between them."""
+    lines = [start]
+    for k, part in enumerate(parts):
+        text = part + ("," if k + 1 < len(parts) else "")
+        if len(f"{lines[-1]}{text}") > width and lines[-1] != start:
+            lines[-1] = lines[-1].rstrip()
+            lines.append("")
+        lines[-1] += f"{text} "
+    return [line.rstrip() for line in lines]
 
 
 def _method_text(method: Mapping[str, Any]) -> str:

@@ -339,3 +339,10 @@ def test_methods_without_evaluations_are_compared_in_seconds():
     ranking = rank([({}, outcomes)])
     assert ranking.frame.set_index("method")["in_best_set"].to_dict() == {"grid": False, "solver": True}
     assert "Recommended: solver" in sentences(ranking)[0]
+
+
+def test_labels_with_commas_are_quoted_in_lists_and_errors_have_their_unit():
+    assert names(["a, b", "c", "d and e"]) == '"a, b", c and "d and e"'
+    error = spread(16, 2) * 1e-3
+    outcomes = Outcomes(**{**vars(point(error)), "error_name": "rmse_m"})
+    assert "more likely to hit error ≤ 1 m than another" in sentences(rank([({}, outcomes)]))[0]
