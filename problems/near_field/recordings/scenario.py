@@ -65,7 +65,8 @@ class Recorded(Measured):
     overlap: share of a block that the next one repeats; only for "samples".
     further_frequencies_hz: frequencies [Hz] besides ``frequency_hz`` whose snapshots are fitted together with its own;
         only for "samples".
-    segments: number of parts of equal length into which the snapshots are divided; scene s uses part s.
+    segments: number of parts of equal length into which the snapshots are divided; scene s uses part s, so that a
+        study has at most as many scenes.
     array: table that describes the antenna array.
     failed: elements to leave out, by their numbers from 0 or their names.
     conjugate: whether to conjugate the data, for data whose phases grow with the distance.
@@ -130,6 +131,11 @@ class Recorded(Measured):
 
     def ranked_by(self) -> str:
         return self.error if self.truth_m is not None else "misfit"
+
+    def most_scenes(self) -> tuple[int, str]:
+        if self.data_kind == "covariance":
+            return 1, "as a covariance has no parts"
+        return self.segments, "one per segment of the recording; raise segments"
 
     def warnings(self) -> list[str]:
         theta, dead = self._theta(), dead_channels(self._data.Y)
