@@ -104,7 +104,10 @@ def test_a_study_cannot_count_the_same_part_of_a_recording_twice(folder):
     for text, why in (
         (MANIFEST.replace("scenes = 4", "scenes = 5"), "expected at most 4, one per segment .*; raise segments, got 5"),
         (MANIFEST.replace("segments = 4", ""), "expected at most 1, one per segment .*; raise segments, got 4"),
-        (MANIFEST.replace("segments = 4", "").replace("TRUTH", "TRUTH\n[sweep]\nsegments = [4, 3]\n"), "at most 3, one"),
+        (
+            MANIFEST.replace("segments = 4", "").replace("TRUTH", "TRUTH\n[sweep]\nsegments = [4, 3]\n"),
+            "at most 3, one",
+        ),
     ):
         with pytest.raises(ManifestError) as caught:
             study_of(folder, text)
@@ -119,7 +122,7 @@ def test_tuning_needs_other_scenes_for_training_than_the_study_has(folder):
     pytest.importorskip("optuna")
     study = study_of(folder, MANIFEST.replace("segments = 4", "segments = 6"))
     plan = Plan("de", training=3, held_out=4, trials=1)
-    with pytest.raises(NfbenchError, match="at most 6 scenes together, one per segment .* got 7"):
+    with pytest.raises(NfbenchError, match=r"at most 6 scenes together, one per segment .* got 7"):
         tune(study, plan, folder / "tuned")
 
 
