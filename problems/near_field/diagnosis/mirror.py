@@ -48,7 +48,7 @@ def mirror_notes(
         front = front / max(float(np.linalg.norm(front)), ASIDE)
     front = front if front[0] >= 0 else -front
     side = u @ front
-    hidden: ndarray = (side if front[0] > ASIDE else -np.abs(side)) < -ASIDE
+    hidden: ndarray = np.where(front[0] > ASIDE, side, -np.abs(side)) < -ASIDE
     level = np.abs((u - mirrored) @ Q.T).max(axis=1) < 10 * tolerance  # the plane contains the origin
     hidden = hidden & level & ~_in_box(mirrored, lower, upper)
     if not hidden.any():
@@ -66,5 +66,4 @@ def mirror_notes(
 def _in_box(u: Float[ndarray, "k 3"], lower: Float[ndarray, " d"], upper: Float[ndarray, " d"]) -> ndarray:
     azimuth = azimuth_near(np.arctan2(u[:, 1], u[:, 0]), (lower[0] + upper[0]) / 2)
     angles = np.column_stack([azimuth, np.arcsin(np.clip(u[:, 2], -1.0, 1.0))])[:, : len(lower) - 1]
-    inside: ndarray = ((angles >= lower[:-1]) & (angles <= upper[:-1])).all(axis=1)
-    return inside
+    return np.asarray(((angles >= lower[:-1]) & (angles <= upper[:-1])).all(axis=1))
