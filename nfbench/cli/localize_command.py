@@ -137,8 +137,6 @@ def _scenario_options(given: Mapping[str, Any]) -> dict[str, Any]:
             options[RENAMED.get(name, name)] = str(value) if name == "wavefront" else value
     if given["covariance"]:
         options["data_kind"] = "covariance"
-    elif given["sample_rate_hz"] is not None:
-        options["data_kind"] = "samples"
     if given["conjugate"]:
         options["conjugate"] = True
     if given["failed"] is not None:

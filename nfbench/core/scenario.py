@@ -112,6 +112,15 @@ class Scenario(Options, ABC):
         """
         return self.error
 
+    def most_scenes(self) -> tuple[int, str] | None:
+        """Return how many different scenes there are with these options, and why; the default is None, any number.
+
+        Override it if the data of scenes repeat after some number, as the segments of a recording do. A study with more
+        scenes is refused, because its statistics would count the same data several times. The second item completes
+        the error "expected at most 7, …", for example "one per segment; raise segments".
+        """
+        return None
+
     def needed_extra(self) -> Extra | None:
         """Return the optional library that the scenario needs with these options. The default is None."""
         return None

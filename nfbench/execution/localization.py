@@ -36,6 +36,7 @@ from .storable import Unstorable, plain_estimate
 __all__ = ["localize"]
 
 SCENARIO = "recorded"
+SOUND = ".wav"  # suffix of files that hold samples over time, with their rate
 OF_ARRAY = ("broadside", "up", "unit", "origin")  # options of an array that is given by its positions
 FILES_KNOWN = {"gains_file": "known_gains", "noise_file": "known_noise"}  # what a formulation knows from files
 
@@ -60,12 +61,15 @@ def localize(
     plugins: plugin files that the method needs.
     options: options of the scenario ``recorded``, such as ``frequency_hz``, ``speed_m_s``, ``sources``,
         ``azimuth_deg``, ``elevation_deg`` and ``range_m``, and ``broadside``, ``up``, ``unit`` and ``origin`` of the
-        array. ``sources="estimate"`` estimates the number of sources.
+        array. ``sources="estimate"`` estimates the number of sources. The default of ``data_kind`` is "samples" for a
+        .wav file and with ``sample_rate_hz``.
 
     Raises OptionError for invalid options, and NfbenchError if the method finds no estimate; the message says why.
     """
     registry = Registry(plugins)
     with _stored(data) as path:
+        if "data_kind" not in options and ("sample_rate_hz" in options or path.lower().endswith(SOUND)):
+            options["data_kind"] = "samples"
         table = _array_table(array, options)
         estimated = options.get("sources") == "estimate"
         if estimated:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import ClassVar, final
 
@@ -13,6 +13,7 @@ from numpy import ndarray
 
 from ..array_instance import ArrayInstance
 from ..bands import Band
+from ..diagnosis import Reading
 from ..floor import local_fit
 from ..geometry import Frame, cartesian
 from ..instance import assigned_positions, position_errors, position_scores, positions_of
@@ -39,6 +40,7 @@ class RecordedInstance(ArrayInstance):
     notes: sentences that say how the data were read.
     noiseless: measured responses of the sources, shape (M, K); None: not known.
     further: frequency bins besides that of Y, scaled in the same way.
+    reading: how the data were read, as far as warnings depend on it.
     """
 
     is_measured: ClassVar[bool] = True
@@ -56,6 +58,7 @@ class RecordedInstance(ArrayInstance):
     notes: tuple[str, ...] = ()
     noiseless: Complex[ndarray, "m k"] | None = None
     further: tuple[Band, ...] = ()
+    reading: Reading = field(default_factory=Reading)
 
     @property
     def sources(self) -> int:
