@@ -41,6 +41,7 @@ class Localization:
     picture: positions to draw; None if there is nothing to draw.
     method: what was used: formulation, solver, their options, budget and seed, as plain data; where a study recommends
         it, its label, the swept point that counts, and the folder. Empty if it is not known.
+    replaces: beginnings of warnings of the scenario that a tested cause replaces, which then comes first.
     notes: sentences about how the data were read, which are no warnings.
     """
 
@@ -50,3 +51,4 @@ class Localization:
     picture: Picture | None = None
     notes: tuple[str, ...] = ()
     method: Mapping[str, Any] = field(default_factory=dict)
+    replaces: tuple[str, ...] = ()

@@ -105,7 +105,15 @@ def _described(scenario: Scenario, instance: Instance, how: Procedure, seed: int
     found = instance.describe(estimate, columns)
     if found is None:
         raise NfbenchError(f"{type(instance).__name__} does not describe its estimates")
-    return replace(found, warnings=tuple(dict.fromkeys([*warnings, *found.warnings])))
+    return replace(found, warnings=_combined(warnings, found))
+
+
+def _combined(warnings: Iterable[str], found: Localization) -> tuple[str, ...]:
+    """Return the warnings before and after the fit; a tested cause comes first, without guesses that it replaces."""
+    if not found.replaces:
+        return tuple(dict.fromkeys([*warnings, *found.warnings]))
+    others = [text for text in warnings if not text.startswith(found.replaces)]
+    return tuple(dict.fromkeys([*found.warnings, *others]))
 
 
 def _solved(instance: Instance, how: Procedure, seed: int) -> tuple[ndarray, Mapping[str, float]]:
@@ -134,7 +142,7 @@ def _with_causes(message: str, instance: Instance, warnings: Iterable[str]) -> N
     causes = list(warnings)
     try:
         nothing = instance.describe(np.empty((0,)), {})
-        causes += nothing.warnings if nothing else []
+        causes = [*_combined(causes, nothing)] if nothing else causes
     except Exception:  # the first error matters
         return NfbenchError(message)
     return NfbenchError("\n".join([message, *(f"  {cause}" for cause in dict.fromkeys(causes))]))

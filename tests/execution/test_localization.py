@@ -104,6 +104,15 @@ def test_an_array_in_millimetres_is_an_error_that_names_the_unit(recording):
         nfbench.localize(Y, 1000 * Q, **TWO)
 
 
+def test_a_tested_unit_is_the_first_warning_and_replaces_the_guess_from_the_size(recording):
+    Q, Y = recording
+    with pytest.raises(NfbenchError) as caught:  # centimetres that are read as metres
+        nfbench.localize(Y, 100 * Q, **TWO)
+    first, *others = str(caught.value).splitlines()[1:]
+    assert first.startswith("  the coordinates of the array are probably 100 times too large") and "--unit cm" in first
+    assert not [text for text in others if text.startswith("  array: its")]
+
+
 @pytest.mark.parametrize(
     ("method", "message"),
     [

@@ -17,7 +17,7 @@ from ..wavefronts import Manifold
 from .eigenvalues import Spectrum
 from .goodness import explained_share, weighted_subspace
 
-__all__ = ["better_alternative", "search_share"]
+__all__ = ["OTHER_UNIT", "better_alternative", "search_share"]
 
 LARGEST = 2 * 10**6  # grid points that are searched for one alternative
 DENSITY = 1.5  # of the grid, as of the formulation grid-refine
@@ -27,6 +27,8 @@ HIGH = 0.25  # height of an array [wavelengths] from which it can distinguish el
 FLAT = 0.02  # deviation from a line [wavelengths, root mean square] that phases do not show
 ENOUGH = 0.5  # share of the signal subspace that an alternative must explain
 FAR_BETTER = 0.75  # factor by which it must lower the share that is not explained
+SURE = 0.9  # the share that must be explained where the coordinates are in another unit
+OTHER_UNIT = "the coordinates of the array are probably"
 UNITS = {  # factor on the coordinates: what the user did, and the remedy
     1e-3: ("1000 times too large, as if millimetres were read as metres", 'set unit = "mm" (--unit mm)'),
     1e-2: ("100 times too large, as if centimetres were read as metres", 'set unit = "cm" (--unit cm)'),
@@ -84,7 +86,9 @@ def better_alternative(
     readings += [*_alternatives(spectrum, manifold, frame), *_with_elevation(spectrum, manifold, lower, upper)]
     for other in readings:
         share = search_share(other.spectrum, other.manifold, *(other.box or (lower, upper)), sources)
-        if share is not None and (best is None or share > best[0] + max(1e-6, other.freedom)):
+        if share is None or (share < SURE and other.text[0].startswith(OTHER_UNIT)):
+            continue
+        if best is None or share > best[0] + max(1e-6, other.freedom):
             best = share, other.text
     if best is None or best[0] < ENOUGH or 1 - best[0] > FAR_BETTER * (1 - explained):
         return None
@@ -123,7 +127,7 @@ def _alternatives(spectrum: Spectrum, manifold: Manifold, frame: Frame) -> Itera
         manifold,
     )
     for factor, (what, remedy) in UNITS.items():
-        text = f"the coordinates of the array are probably {what}: the data fit far better with the other unit"
+        text = f"{OTHER_UNIT} {what}: the data fit far better with the other unit"
         yield _Alternative((text, remedy), spectrum, replace(manifold, positions=Q * factor))
     for broadside, up, axes in _orientations(frame):
         text = f"the array is probably turned: the data fit far better with the broadside {broadside}"

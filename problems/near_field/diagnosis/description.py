@@ -14,6 +14,7 @@ from nfbench import Localization, Picture
 from ..bounds import information_root
 from ..geometry import Frame, cartesian, direction_derivatives, directions
 from ..wavefronts import Manifold
+from .alternatives import OTHER_UNIT
 from .diagnose import Diagnosis, diagnose
 from .goodness import misfit, source_covariance
 from .mirror import mirror_notes
@@ -80,7 +81,9 @@ def describe_sources(
         truth=None if truth is None else frame.outward(cartesian(truth)),
     )
     notes = mirror_notes(theta, manifold, frame, lower, upper)
-    return Localization(rows, fit, diagnosis.warnings, picture, tuple(notes))
+    is_other_unit = any(text.startswith(OTHER_UNIT) for text in diagnosis.warnings)
+    replaced = ("array: its",) if is_other_unit else ()  # guesses from its size
+    return Localization(rows, fit, diagnosis.warnings, picture, tuple(notes), replaces=replaced)
 
 
 def _uncertainty(
