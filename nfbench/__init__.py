@@ -49,6 +49,7 @@ from .core import (
     Trace,
     Tune,
     minimize,
+    nearest,
 )
 
 __version__ = "0.1.0"
@@ -102,6 +103,7 @@ __all__ = [
     "load_study",
     "localize",
     "minimize",
+    "nearest",
     "nested_solver",
     "procedure",
     "run",

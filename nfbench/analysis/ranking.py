@@ -26,6 +26,7 @@ __all__ = ["ALL", "SHARES", "Block", "Ranking", "Stage", "rank", "typical_second
 
 SHARES = {"reliability": 0.02, "error": 0.02, "cost": 0.01}  # of the 5 % for one verdict
 COST_TIE = 1.1  # costs whose ratio is smaller count as equal
+ERROR_TIE = 1.25  # errors whose ratio is smaller count as equal for the recommendation
 DOUBT = 0.25  # a method is visibly less reliable if one-sided p of the discordant scenes is at most this
 ALL = "all"  # the swept value of the block over all points
 
@@ -56,7 +57,8 @@ class Block:
     """The ranking at one swept point, or over all of them.
 
     swept: the swept values. points: the outcomes, one per point that the block covers, on the same methods and scenes.
-    stages: empty if there are too few scenes. order: positions of the methods in the final set, the recommended first;
+    stages: empty if there are too few scenes. order: positions of the methods in the final set, the recommended
+    first: by share solved, then by error, then by cost;
     empty if there are too few scenes. needed: the fewest scenes that could rank these methods. ert: expected running
     times, (k,).
     """
@@ -130,14 +132,41 @@ def _blocks(covered: Sequence[Covered], stopped: bool) -> list[Block]:
         own, costs = stages.get(i, ()), _erts(part)
         order: tuple[int, ...] = ()
         if own:
-            inside = own[-1].best.inside
-            seconds = np.array([typical_seconds(part, m) for m in range(len(costs))])
-            none = np.any([_makes_none(each) for each in part], axis=0)
-            first = seconds if none[own[-1].best.inside].any() else costs
-            cheapest = np.lexsort((_mean_ranks(part), seconds, first))  # the others decide between equal costs
-            order = tuple(int(m) for m in cheapest if inside[m])
+            order = _recommended_first(part, own[-1].best.inside, costs, stopped)
         blocks.append(Block(swept, part, own, order, needed[i], costs))
     return blocks
+
+
+def _recommended_first(
+    part: Sequence[Outcomes], inside: Bool[ndarray, " k"], costs: Float[ndarray, " k"], stopped: bool
+) -> tuple[int, ...]:
+    """Return the members of the final set: by share solved, then by typical error, then by cost.
+
+    The tests do not distinguish them, so this is an order of estimates. Errors within ERROR_TIE of the lowest one,
+    among the methods with the highest share, count as equal. Seconds, then mean ranks decide between equal costs.
+    """
+    shares = np.array([share_solved(part, m) for m in range(len(costs))])
+    error = typical_errors(part)
+    lowest = np.min(error[inside & (shares == shares[inside].max())])
+    error = np.where(stopped | (error <= ERROR_TIE * lowest), 0.0, error)
+    seconds = np.array([typical_seconds(part, m) for m in range(len(costs))])
+    none = np.any([_makes_none(each) for each in part], axis=0)
+    cost = seconds if none[inside].any() else costs
+    best = np.lexsort((_mean_ranks(part), seconds, cost, error, -shares))
+    return tuple(int(m) for m in best if inside[m])
+
+
+def share_solved(part: Sequence[Outcomes], i: int) -> float:
+    """Return the mean over scenes and points of the share of a method's runs that hit the first target."""
+    return round(float(np.mean([(each.hits[:, i] / each.runs[i]).mean() for each in part])), 12)
+
+
+def typical_errors(part: Sequence[Outcomes]) -> Float[ndarray, " k"]:
+    """Return the geometric mean over the points of the median errors over scenes; ∞ where most runs failed."""
+    medians = [np.median(np.where(np.isnan(each.error), np.inf, each.error), axis=0) for each in part]
+    with np.errstate(divide="ignore"):
+        found: ndarray = np.exp(np.mean(np.log(medians), axis=0))
+    return found
 
 
 def _k(each: Outcomes) -> int:

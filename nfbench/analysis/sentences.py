@@ -11,7 +11,7 @@ from numpy import ndarray
 from scipy.special import ndtri
 
 from .intervals import ratio_interval
-from .ranking import ALL, SHARES, Block, Ranking, typical_seconds
+from .ranking import ALL, ERROR_TIE, SHARES, Block, Ranking, share_solved, typical_errors, typical_seconds
 from .sign_flips import hit_scores, log_ratios
 
 __all__ = ["cost_text", "names", "sentence", "sentences"]
@@ -46,6 +46,7 @@ def sentence(block: Block, *, stopped: bool = False) -> str:
 
 def names(labels: Sequence[str], most: int = MOST) -> str:
     """Return the labels as a list in words: "a, b and c", or the first few "and 12 more"."""
+    labels = [f'"{label}"' if "," in label or " and " in label else label for label in labels]
     if len(labels) > most + 1:
         return f"{', '.join(labels[:most])} and {len(labels) - most} more"
     return " and ".join(filter(None, [", ".join(labels[:-1]), *labels[-1:]]))
@@ -65,7 +66,7 @@ def _ranked(block: Block, over: str, stopped: bool) -> list[str]:
         return [over + _unranked(block), *_no_miss(block)]
     parts = []
     reliable = _members(block, "reliability")
-    hit = f"hit {block.points[0].target}" if block.points[0].target else "end with an estimate"
+    hit = f"hit {_target(block)}" if block.points[0].target else "end with an estimate"
     if len(reliable) == k:
         parts.append(f"{over}on {_scenes(n)} none of {k} methods is significantly more likely to {hit} than another.")
     else:
@@ -90,12 +91,14 @@ def _most_accurate(block: Block, reliable: list[int]) -> str:
     accurate, name = _members(block, "error"), _measure(block)
     if len(reliable) == 1:
         return ""
+    which = "all" if len(reliable) == len(block.methods) else "these"
+    among = f"Among {which} {len(reliable)} methods"
     stage = block.stage("error")
     if stage is not None and len(accurate) == len(reliable) and stage.traded.any():
-        return f"Among these, a lower {name} comes with visibly more failures."
+        return f"{among}, a lower {name} comes with visibly more failures."
     if len(accurate) == len(reliable):
-        return f"Among these, no difference in {name} is significant."
-    return f"Among these, {names([block.methods[i] for i in accurate])} {_has(accurate)} the lowest {name}."
+        return f"{among}, no difference in {name} is significant."
+    return f"{among}, {names([block.methods[i] for i in accurate])} {_has(accurate)} the lowest {name}."
 
 
 def _recommended(block: Block) -> str:
@@ -105,7 +108,9 @@ def _recommended(block: Block) -> str:
     others = f"; not distinguishable from it: {names([block.methods[i] for i in rest])}" if rest else ""
     if math.isinf(cost):
         return f"No method of the best set has a known cost to hit the target; first by mean rank: {method}{others}."
-    how = "the cheapest of them" if rest or len(_members(block, "reliability")) > 1 else "alone in the best set"
+    how = _reason(block) if rest else "alone in the best set"
+    if not rest and len(_members(block, "reliability")) > 1:
+        how = "the cheapest of them"
     return f"Recommended: {method}, {how} ({cost_text(block, first)}){others}."
 
 
@@ -115,8 +120,23 @@ def cost_text(block: Block, i: int) -> str:
     if not math.isfinite(cost):
         return ""
     if cost == 0:  # a method without a solver
-        return f"{typical_seconds(block.points, i):.3g} s to a hit"
+        return f"typically {typical_seconds(block.points, i):.3g} s from the start of a run to its hit"
     return f"{cost:,.0f} evaluations per hit" if cost >= 10 else f"{cost:.3g} evaluations per hit"
+
+
+def _reason(block: Block) -> str:
+    """State what puts the recommended method before the others of the final set, none of which is significant."""
+    first, *rest = block.order
+    shares = [share_solved(block.points, i) for i in block.order]
+    if shares[0] > max(shares[1:]):
+        return f"which solved the most of {len(shares)} methods that are not significantly different"
+    equal = [i for i, share in zip(rest, shares[1:], strict=True) if share == shares[0]]
+    error = typical_errors(block.points)
+    if block.stage("error") is not None and all(error[i] > ERROR_TIE * error[first] for i in equal):
+        return (
+            "the most accurate of those that solved the most" if len(equal) < len(rest) else "the most accurate of them"
+        )
+    return "the cheapest of those that solved the most" if len(equal) < len(rest) else "the cheapest of them"
 
 
 def _measure(block: Block) -> str:
@@ -181,8 +201,15 @@ def _solved(block: Block, i: int) -> str:
     """State how many runs of a method hit the target."""
     hits = sum(int(each.hits[:, i].sum()) for each in block.points)
     runs = sum(int(each.runs[i]) for each in block.points) * block.n
-    target = block.points[0].target
+    target = _target(block)
     return f"{hits} of {runs} runs {f'hit {target}' if target else 'ended with an estimate'}"
+
+
+def _target(block: Block) -> str:
+    """The first target, with its unit if it is an error in metres; empty if there is none."""
+    first = block.points[0]
+    metres = first.target.startswith("error") and "bound" not in first.target and first.error_name.endswith("_m")
+    return f"{first.target} m" if metres else first.target
 
 
 def _members(block: Block, name: str) -> list[int]:

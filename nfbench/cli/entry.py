@@ -9,7 +9,7 @@ import typer
 from rich.console import Console
 
 from nfbench import __version__
-from nfbench.core import NfbenchError, printable
+from nfbench.core import NfbenchError, OptionError, printable
 
 from . import (  # noqa: F401  # importing them registers the commands
     choose_command,
@@ -41,7 +41,7 @@ def main() -> None:
         try:
             app(standalone_mode=True)
         except NfbenchError as error:
-            _report(str(error))
+            _report("\n".join(error.lines()) if isinstance(error, OptionError) else str(error))
             sys.exit(USAGE)
         except KeyboardInterrupt:
             _report("interrupted")

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import typer
 from typer.core import TyperCommand
 
-from nfbench.core import NfbenchError, Picture
+from nfbench.core import Localization, NfbenchError, Picture
 
 from . import localize_options as opt
 from .common import Plugins, app, output, parsed_option, say
+from .localize_flags import in_flags, naming_flags, naming_method_flags
 
 if TYPE_CHECKING:
     from nfbench.execution import Procedure
@@ -86,12 +88,12 @@ def localize(
     from nfbench.execution import localize as localize_sources
     from nfbench.report import localization_csv, localization_json, print_localization
 
-    if figure is not None and figure.suffix.lower() not in (".png", ".svg", ".pdf"):
-        raise typer.BadParameter(f"expected a .png, .svg or .pdf file, got {figure.name}", param_hint="--figure")
+    _check_figure(figure)
     options = _scenario_options(given)
     table = options.pop("array", None) or _array(given)
     how = _procedure(given)
-    found = localize_sources(data, table, method=how, seed=seed, plugins=plugin or (), **options)
+    with naming_flags():
+        found = _in_flags(localize_sources(data, table, method=how, seed=seed, plugins=plugin or (), **options))
     if json == STDOUT:
         typer.echo(localization_json(found), nl=False)
     else:
@@ -100,6 +102,15 @@ def localize(
     _write(csv, localization_csv(found))
     if figure is not None and found.picture is not None:
         _draw(found.picture, figure, data.name)
+
+
+def _check_figure(path: Path | None) -> None:
+    if path is not None and path.suffix.lower() not in (".png", ".svg", ".pdf"):
+        raise typer.BadParameter(f"expected a .png, .svg or .pdf file, got {path.name}", param_hint="--figure")
+
+
+def _in_flags(found: Localization) -> Localization:
+    return replace(found, warnings=tuple(map(in_flags, found.warnings)))
 
 
 def _draw(picture: Picture, path: Path, title: str) -> None:
@@ -126,8 +137,6 @@ def _scenario_options(given: Mapping[str, Any]) -> dict[str, Any]:
             options[RENAMED.get(name, name)] = str(value) if name == "wavefront" else value
     if given["covariance"]:
         options["data_kind"] = "covariance"
-    elif given["sample_rate_hz"] is not None:
-        options["data_kind"] = "samples"
     if given["conjugate"]:
         options["conjugate"] = True
     if given["failed"] is not None:
@@ -212,4 +221,5 @@ def _procedure(given: Mapping[str, Any]) -> Procedure:
         dict(parsed_option(text) for text in given[name] or ()) for name in ("option", "solver_option")
     )
     limits = {"evaluations": given["evaluations"], "seconds": given["seconds"]}
-    return procedure(given["method"] or "grid-refine", options, solver_options, plugins=plugins, **limits)
+    with naming_method_flags(given["solver_option"] or ()):
+        return procedure(given["method"] or "grid-refine", options, solver_options, plugins=plugins, **limits)

@@ -31,6 +31,11 @@ def _option(panel: str, text: str, *names: str, metavar: str | None = None) -> A
     return typer.Option(*names, help=text, metavar=metavar, rich_help_panel=panel, show_default=False)
 
 
+def metavar(option: Any) -> str:
+    """Return what stands for the value of an option in its help."""
+    return str(option.__metadata__[0].metavar)
+
+
 DataFile = Annotated[Path, typer.Argument(metavar="DATA", help="File with snapshots, a covariance, or samples.")]
 
 PositionsFile = Annotated[Path | None, _option(ARRAY, "File with the positions of the elements.", metavar="FILE")]

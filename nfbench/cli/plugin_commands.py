@@ -165,7 +165,7 @@ def _check(kind: str, name: str, plugin: list[Path] | None, given: list[str] | N
         jobs = list(check_jobs(kind, name, plugin or (), options))
     except OptionError as error:
         hint = "; set it with --option NAME=VALUE" if "is required" in str(error) else ""
-        raise NfbenchError(f"{error}{hint}") from error
+        raise NfbenchError("\n".join(error.lines()) + hint) from error
     passed = True
     for job in jobs:
         say(job.name)

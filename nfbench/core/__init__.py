@@ -37,7 +37,6 @@ from .options import (
     build,
     canonical,
     relative_to,
-    suggest,
 )
 from .problem import Problem
 from .process import cause_of_end, die_with_parent, end_group_at_eof
@@ -45,6 +44,7 @@ from .reference import Reference
 from .scenario import Extra, Instance, ProblemInstance, Scenario
 from .solver import AskTell, AskTellSolver, Solver, SolverInfo
 from .status import Status
+from .suggestions import nearest, suggest
 from .survey import Survey
 from .text import printable
 from .trace import MAX_ROWS, Trace
@@ -103,6 +103,7 @@ __all__ = [
     "explain",
     "message_of",
     "minimize",
+    "nearest",
     "printable",
     "relative_to",
     "start_problem",

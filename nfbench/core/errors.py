@@ -28,7 +28,12 @@ class OptionError(NfbenchError, ValueError):
     def __init__(self, owner: str, problems: Iterable[tuple[str, str]]) -> None:
         self.owner = owner
         self.problems = list(problems)
-        super().__init__("; ".join(_first(f"{owner}: {path}: {text}" for path, text in self.problems)))
+        super().__init__("; ".join(self.lines()))
+
+    def lines(self) -> list[str]:
+        """Return the errors, one per line; the first 50 of them, and the number of the others."""
+        named = (": ".join(filter(None, [self.owner, path, text])) for path, text in self.problems)
+        return _first(named)
 
 
 class ManifestError(NfbenchError):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 from jaxtyping import Float
 from numpy import ndarray
@@ -38,6 +39,9 @@ class Localization:
     fit: numbers that say how well the estimate explains the data, by their names.
     warnings: sentences about what does not fit, each with a remedy.
     picture: positions to draw; None if there is nothing to draw.
+    method: what was used: formulation, solver, their options, budget and seed, as plain data; where a study recommends
+        it, its label, the swept point that counts, and the folder. Empty if it is not known.
+    replaces: beginnings of warnings of the scenario that a tested cause replaces, which then comes first.
     notes: sentences about how the data were read, which are no warnings.
     """
 
@@ -46,3 +50,5 @@ class Localization:
     warnings: tuple[str, ...] = ()
     picture: Picture | None = None
     notes: tuple[str, ...] = ()
+    method: Mapping[str, Any] = field(default_factory=dict)
+    replaces: tuple[str, ...] = ()

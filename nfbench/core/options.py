@@ -14,11 +14,11 @@ from __future__ import annotations
 import contextlib
 import contextvars
 import dataclasses
-import difflib
 import functools
 import inspect
 import math
 import os
+import re
 import reprlib
 import typing
 from collections.abc import Iterable, Iterator, Mapping
@@ -29,6 +29,7 @@ from annotated_types import Ge, Gt, Le, Lt
 from pydantic import AfterValidator, ConfigDict, PlainValidator, TypeAdapter, ValidationError
 
 from .errors import NfbenchError, OptionError, PluginError, explain
+from .suggestions import nearest, suggest
 
 __all__ = [
     "FilePath",
@@ -157,15 +158,6 @@ def _at_default(made: Options, field: dataclasses.Field[Any]) -> bool:
     if default is dataclasses.MISSING:
         return False
     return bool(canonical(getattr(made, field.name)) == canonical(_checked(type(made), field.name, default)[0]))
-
-
-def suggest(name: str, known: Iterable[str]) -> str:
-    """Return ``; did you mean "x"?`` with the nearest name of ``known``, or else ``; known: …`` with all names."""
-    known = sorted(known)
-    near = difflib.get_close_matches(name, known, n=1) if len(name) <= 100 else []
-    if near:
-        return f'; did you mean "{near[0]}"?'
-    return f"; known: {', '.join(known)}" if known else ""
 
 
 @final
@@ -359,9 +351,14 @@ _shown = _Short().repr
 def _explain(name: str, error: ValidationError) -> list[tuple[str, str]]:
     """Convert the ValidationError of one field to (path, message) pairs with the messages of nfbench."""
     problems: dict[str, list[str]] = {}
+    meant: dict[str, str] = {}
     for item in error.errors(include_url=False):
         # integers are positions in a list; pydantic's other entries name the branches of a union
         path = name + "".join(f"[{part}]" for part in item["loc"] if isinstance(part, int))
+        if item["type"] == "literal_error" and isinstance(item["input"], str):
+            allowed = re.findall(r"'([^']*)'", item["ctx"]["expected"])
+            if near := nearest(item["input"], allowed):
+                meant[path] = f'; did you mean "{near}"?'
         inner = item.get("ctx", {}).get("error")
         if isinstance(inner, OptionError):
             for sub, text in inner.problems:
@@ -377,7 +374,7 @@ def _explain(name: str, error: ValidationError) -> list[tuple[str, str]]:
         problems.setdefault(path, []).append(text)
     if any(path.startswith(f"{name}[") for path in problems):  # a list: the other branches of a union do not matter
         problems.pop(name, None)
-    return [(path, _joined(texts)) for path, texts in problems.items()]
+    return [(path, _joined(texts) + meant.get(path, "")) for path, texts in problems.items()]
 
 
 def _joined(texts: list[str]) -> str:

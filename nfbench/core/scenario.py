@@ -41,12 +41,20 @@ class Instance(ABC):
     def positions(self, estimate: ndarray) -> tuple[ndarray, ndarray] | None:
         """Return the true and the estimated positions of the sources for ``positions.csv`` and figures, Cartesian [m].
 
-        These are two arrays, of shape (K, 3) and with at least K rows. Row k of the second one is the estimate assigned
-        to source k, or NaN if no estimate is assigned to it. Rows beyond K are the estimates that are assigned to no
-        source, which are all of them if K is 0 because the truth is not known. The default is None, which means that
-        there are no positions to show. It is called for estimates whose ``score`` is valid.
+        They are in the coordinates in which the user describes the array. If angles and ranges are measured from
+        another point or other axes than x, y and z, three more columns have the azimuth, the elevation [rad] and the
+        range [m]; else these follow from x, y and z.
+
+        The two arrays have K rows and at least K rows. Row k of the second one is the estimate assigned to source k, or
+        NaN if no estimate is assigned to it. Rows beyond K are the estimates that are assigned to no source, which are
+        all of them if K is 0 because the truth is not known. The default is None, which means that there are no
+        positions to show. It is called for estimates whose ``score`` is valid.
         """
         return None
+
+    def origin(self) -> ndarray:
+        """Return the point from which ranges are measured, (3,) [m], in the coordinates of ``positions``."""
+        return np.zeros(3)
 
     def describe(self, estimate: ndarray, columns: Mapping[str, float]) -> Localization | None:
         """Return what an estimate says about the sources, for ``nfbench localize``; None if there is nothing to say.
@@ -104,6 +112,15 @@ class Scenario(Options, ABC):
         """
         return self.error
 
+    def most_scenes(self) -> tuple[int, str] | None:
+        """Return how many different scenes there are with these options, and why; the default is None, any number.
+
+        Override it if the data of scenes repeat after some number, as the segments of a recording do. A study with more
+        scenes is refused, because its statistics would count the same data several times. The second item completes
+        the error "expected at most 7, …", for example "one per segment; raise segments".
+        """
+        return None
+
     def needed_extra(self) -> Extra | None:
         """Return the optional library that the scenario needs with these options. The default is None."""
         return None
@@ -114,6 +131,13 @@ class Scenario(Options, ABC):
         Each sentence names the option, its value with the unit, and what may be wrong. ``load_study`` collects them in
         ``Study.warnings``, and ``nfbench run`` prints them; they do not prevent the study from running. The method must
         return within milliseconds. The default is an empty list.
+        """
+        return []
+
+    def differences(self, other: Scenario) -> list[str]:
+        """Return sentences about how another scenario, whose results are to hold for this one, differs from it.
+
+        ``nfbench localize --study`` calls it with the scenario of the study. The default is an empty list.
         """
         return []
 

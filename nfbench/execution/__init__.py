@@ -9,7 +9,8 @@ if TYPE_CHECKING:
     from .compile_ahead import warm_up
     from .dry_check import dead_formulations, refuse_dead
     from .engine import RunAll, ordered_runner, run_specs
-    from .localization import Procedure, localize, procedure, recommended
+    from .localization import localize
+    from .procedures import Procedure, procedure, recommended
     from .run_study import Listener, run
 
 __all__ = [
@@ -29,13 +30,13 @@ __all__ = [
 
 _MODULES = {
     "Listener": "run_study",
-    "Procedure": "localization",
+    "Procedure": "procedures",
     "RunAll": "engine",
     "dead_formulations": "dry_check",
     "localize": "localization",
     "ordered_runner": "engine",
-    "procedure": "localization",
-    "recommended": "localization",
+    "procedure": "procedures",
+    "recommended": "procedures",
     "refuse_dead": "dry_check",
     "run": "run_study",
     "run_specs": "engine",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,6 @@ import numpy as np
 from numpy import ndarray
 
 from nfbench.core import (
-    Budget,
     Formulation,
     Instance,
     Localization,
@@ -23,41 +22,23 @@ from nfbench.core import (
     Problem,
     Scenario,
     Solution,
-    Solver,
     Status,
-    budget_problem,
     common_start,
     explain,
     minimize,
     start_problem,
 )
 from nfbench.plugins import Registry
-from nfbench.results import Results
-from nfbench.study import load_methods
 
+from .procedures import Procedure, procedure
 from .storable import Unstorable, plain_estimate
 
-__all__ = ["Procedure", "localize", "procedure", "recommended"]
+__all__ = ["localize"]
 
-EVALUATIONS = 20_000  # of a solver whose budget is not given
 SCENARIO = "recorded"
+SOUND = ".wav"  # suffix of files that hold samples over time, with their rate
 OF_ARRAY = ("broadside", "up", "unit", "origin")  # options of an array that is given by its positions
 FILES_KNOWN = {"gains_file": "known_gains", "noise_file": "known_noise"}  # what a formulation knows from files
-
-
-@dataclass(frozen=True)
-class Procedure:
-    """A formulation and, where it needs one, a solver with its budget.
-
-    start: number of points of a common start for the solver; None: the solver starts by itself.
-    label: name of the method in a study; empty if it is not from a study.
-    """
-
-    formulation: Formulation
-    solver: Solver | None = None
-    budget: Budget | None = None
-    start: int | None = None
-    label: str = ""
 
 
 def localize(
@@ -80,12 +61,15 @@ def localize(
     plugins: plugin files that the method needs.
     options: options of the scenario ``recorded``, such as ``frequency_hz``, ``speed_m_s``, ``sources``,
         ``azimuth_deg``, ``elevation_deg`` and ``range_m``, and ``broadside``, ``up``, ``unit`` and ``origin`` of the
-        array. ``sources="estimate"`` estimates the number of sources.
+        array. ``sources="estimate"`` estimates the number of sources. The default of ``data_kind`` is "samples" for a
+        .wav file and with ``sample_rate_hz``.
 
     Raises OptionError for invalid options, and NfbenchError if the method finds no estimate; the message says why.
     """
     registry = Registry(plugins)
     with _stored(data) as path:
+        if "data_kind" not in options and ("sample_rate_hz" in options or path.lower().endswith(SOUND)):
+            options["data_kind"] = "samples"
         table = _array_table(array, options)
         estimated = options.get("sources") == "estimate"
         if estimated:
@@ -95,65 +79,9 @@ def localize(
         how = _knowing(_estimating(how) if estimated else how, options)
         scenario.warm_up()
         instance = scenario.draw(np.random.default_rng(seed))
-    return _described(scenario, instance, how, seed)
-
-
-def procedure(
-    method: str,
-    options: Mapping[str, Any] | None = None,
-    solver_options: Mapping[str, Any] | None = None,
-    *,
-    evaluations: int | None = None,
-    seconds: float | None = None,
-    plugins: Iterable[str | Path] = (),
-) -> Procedure:
-    """Return the method with a name such as "grid-refine" or "neef + de", and its options and budget.
-
-    Raises NfbenchError if the formulation and the solver do not fit together.
-    """
-    name, plus, solver_name = (part.strip() for part in method.partition("+"))
-    registry = Registry(plugins)
-    formulation = registry.make("formulation", name, dict(options or {}))
-    if not formulation.needs_solver:
-        if plus or solver_options or evaluations is not None or seconds is not None:
-            text = f"{name} needs no solver, so it takes no solver, options of a solver, evaluations or seconds"
-            raise NfbenchError(f"method: {text}, got {method!r}")
-        return Procedure(formulation)
-    if not solver_name:
-        raise NfbenchError(f'method: {name} needs a solver, got none; for example, "{name} + de"')
-    solver = registry.make("solver", solver_name, dict(solver_options or {}))
-    if evaluations is None and seconds is None:
-        evaluations = EVALUATIONS
-    budget = Budget(evaluations=evaluations, seconds=seconds)
-    if problem := budget_problem(solver, budget):
-        raise NfbenchError(f"method: {problem}")
-    return Procedure(formulation, solver, budget)
-
-
-def recommended(folder: str | Path, plugins: Iterable[str | Path] = ()) -> Procedure:
-    """Return the method that a study recommends over all its swept points, as the report names it.
-
-    Raises StoreError or NfbenchError if the folder holds no study, or if the study recommends no method.
-    """
-    results = Results(Path(folder))
-    blocks = results.evidence().ranking.blocks
-    best = [block.methods[block.order[0]] for block in blocks[-1:] if block.order]
-    if blocks and not best and len(blocks[-1].methods) == 1:
-        best = list(blocks[-1].methods)
-    if not best:
-        raise NfbenchError(f"{folder}: the study recommends no method yet; run more scenes, or give the method")
-    methods = {method.label: method for method in load_methods(results.folder / "manifest.toml", plugins)}
-    if (chosen := methods.get(best[0])) is None:
-        raise NfbenchError(f"{folder}: the study recommends {best[0]}, which is not in its manifest.toml")
-    registry = Registry(plugins)
-    if broken := chosen.formulation.broken or (chosen.solver.broken if chosen.solver else None):
-        raise NfbenchError(f"{folder}: the study recommends {best[0]}, which is not available: {broken}")
-    formulation = registry.make("formulation", chosen.formulation.kind, chosen.formulation.options)
-    if chosen.solver is None:
-        return Procedure(formulation, label=best[0])
-    solver = registry.make("solver", chosen.solver.kind, chosen.solver.options)
-    limits = {name: value for name, value in (chosen.budget or {}).items() if name in ("evaluations", "seconds")}
-    return Procedure(formulation, solver, Budget(**limits), (chosen.budget or {}).get("start"), best[0])
+    found = _described(scenario, instance, how, seed)
+    warnings = [*how.unlike(scenario), *_unknown(how, options), *found.warnings]
+    return replace(found, warnings=tuple(dict.fromkeys(warnings)), method=how.described(seed))
 
 
 def _described(scenario: Scenario, instance: Instance, how: Procedure, seed: int) -> Localization:
@@ -177,7 +105,15 @@ def _described(scenario: Scenario, instance: Instance, how: Procedure, seed: int
     found = instance.describe(estimate, columns)
     if found is None:
         raise NfbenchError(f"{type(instance).__name__} does not describe its estimates")
-    return replace(found, warnings=tuple(dict.fromkeys([*warnings, *found.warnings])))
+    return replace(found, warnings=_combined(warnings, found))
+
+
+def _combined(warnings: Iterable[str], found: Localization) -> tuple[str, ...]:
+    """Return the warnings before and after the fit; a tested cause comes first, without guesses that it replaces."""
+    if not found.replaces:
+        return tuple(dict.fromkeys([*warnings, *found.warnings]))
+    others = [text for text in warnings if not text.startswith(found.replaces)]
+    return tuple(dict.fromkeys([*found.warnings, *others]))
 
 
 def _solved(instance: Instance, how: Procedure, seed: int) -> tuple[ndarray, Mapping[str, float]]:
@@ -206,7 +142,7 @@ def _with_causes(message: str, instance: Instance, warnings: Iterable[str]) -> N
     causes = list(warnings)
     try:
         nothing = instance.describe(np.empty((0,)), {})
-        causes += nothing.warnings if nothing else []
+        causes = [*_combined(causes, nothing)] if nothing else causes
     except Exception:  # the first error matters
         return NfbenchError(message)
     return NfbenchError("\n".join([message, *(f"  {cause}" for cause in dict.fromkeys(causes))]))
@@ -223,6 +159,19 @@ def _knowing(how: Procedure, options: Mapping[str, Any]) -> Procedure:
     """The same method, which knows what the files of the scenario say about the array and the noise."""
     known = {name: True for file, name in FILES_KNOWN.items() if options.get(file) and _has(how.formulation, name)}
     return replace(how, formulation=_with(how.formulation, **known))
+
+
+def _unknown(how: Procedure, options: Mapping[str, Any]) -> list[str]:
+    """Return a warning if a study has chosen a method that knows what the recording does not say."""
+    missing = [
+        file for file, name in FILES_KNOWN.items() if getattr(how.formulation, name, False) and not options.get(file)
+    ]
+    if not how.study or not missing:
+        return []
+    known = ", ".join(FILES_KNOWN[file] for file in missing)
+    return [
+        f"in the study the method knows more than here ({known}); give {' and '.join(missing)}, or simulate without"
+    ]
 
 
 def _has(formulation: Formulation, option: str) -> bool:

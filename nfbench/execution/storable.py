@@ -65,8 +65,9 @@ def plain_positions(found: Any) -> tuple[list[list[float]], list[list[float]]] |
     if not isinstance(found, tuple | list) or len(found) != 2:
         raise Unstorable(f"positions: expected two arrays or None, got {type(found).__name__}")
     truth, estimated = (plain_estimate(part).astype(np.float64) for part in found)
-    if truth.ndim != 2 or estimated.ndim != 2 or truth.shape[1] != 3 or estimated.shape[1] != 3:
-        raise Unstorable(f"positions: expected two arrays of points (x, 3), got {truth.shape} and {estimated.shape}")
+    if truth.ndim != 2 or estimated.ndim != 2 or truth.shape[1] not in (3, 6) or estimated.shape[1] != truth.shape[1]:
+        text = f"got {truth.shape} and {estimated.shape}"
+        raise Unstorable(f"positions: expected two arrays of points (x, 3), or (x, 6) with angles and range, {text}")
     if len(estimated) < len(truth):
         raise Unstorable(f"positions: expected at least {len(truth)} estimates, one per source, got {len(estimated)}")
     return truth.tolist(), estimated.tolist()

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import difflib
 from collections import Counter
 from collections.abc import Sequence
 
 from nfbench.analysis import ALL, Block
-from nfbench.core import NfbenchError
+from nfbench.core import NfbenchError, nearest
 from nfbench.results import Evidence
 
 from .style import MANY
@@ -28,8 +27,8 @@ def highlighted(methods: Sequence[str], named: Sequence[str], evidence: Evidence
     """
     for name in named:
         if name not in methods:
-            near = difflib.get_close_matches(name, methods, 1)
-            hint = f"; did you mean {near[0]!r}?" if near else f"; known: {', '.join(methods[:10])}"
+            near = nearest(name, methods)
+            hint = f"; did you mean {near!r}?" if near else f"; known: {', '.join(methods[:10])}"
             raise NfbenchError(f"methods: expected labels of the study's methods, got {name!r}{hint}")
     if len(named) > MANY:
         raise NfbenchError(f"methods: expected at most {MANY} methods to show in colour, got {len(named)}")

@@ -41,12 +41,14 @@ TRUTH: dict[str, Any] = {"color": "black", "marker": "*", "markersize": 5.0, "ma
 class _Places:
     """The positions at one scenario point [m].
 
-    truth: true positions, (R, K, 3).
+    truth: true positions in the coordinates of the user, (R, K, 3).
     found: estimated positions by method, (R, K, 3); NaN where there is no estimate.
+    origin: point from which ranges are measured, (3,).
     """
 
     truth: Float[ndarray, "r k 3"]
     found: dict[str, Float[ndarray, "r k 3"]]
+    origin: Float[ndarray, " 3"]
 
 
 def few_enough(study: Drawn) -> bool:
@@ -113,20 +115,23 @@ def _redrawn(part: Drawn, scenario: Scenario, numbers: dict[int, int], estimates
             placed = instance.positions(estimate)
             if placed is None or not len(placed[0]):
                 return None
-            truth, matched[run["method"]] = placed[0], placed[1][: len(placed[0])]
+            truth, matched[run["method"]] = placed[0][:, :3], placed[1][: len(placed[0]), :3]
         truths.append(truth)
         for name, places in found.items():
             places.append(matched.get(name, np.full_like(truth, math.nan)))
-    return _Places(np.array(truths), {name: np.array(places) for name, places in found.items()}) if shown else None
+    if not shown:
+        return None
+    return _Places(np.array(truths), {name: np.array(places) for name, places in found.items()}, instance.origin())
 
 
 def _figure(part: Drawn, places: _Places, width: str) -> Figure:
-    """One column of panels per source: the view from above and, if z varies, the view from the side below it."""
-    everything = np.concatenate([places.truth, *places.found.values(), np.zeros((1, *places.truth.shape[1:]))])
+    """One column of panels per source: x and y and, unless one coordinate is constant, x and z below them."""
+    origin = np.broadcast_to(places.origin, (1, *places.truth.shape[1:]))
+    everything = np.concatenate([places.truth, *places.found.values(), origin])
     low, high = np.nanmin(everything, axis=(0, 1)), np.nanmax(everything, axis=(0, 1))
+    views = _views(high - low)
     margin = 0.06 * (high - low).max()
     low, high = low - margin, high + margin
-    views = [(0, 1), (0, 2)] if np.ptp(places.truth[..., 2]) > 0 else [(0, 1)]
     sources = places.truth.shape[1]
     columns = min(sources, COLUMNS[width])
     blocks = -(-sources // columns)
@@ -160,10 +165,19 @@ def _figure(part: Drawn, places: _Places, width: str) -> Figure:
     return figure
 
 
+def _views(extents: Float[ndarray, " 3"]) -> list[tuple[int, int]]:
+    """The pairs of axes to draw: two views from different sides, or one if everything lies in its plane."""
+    flat = [axis for axis in (2, 1, 0) if extents[axis] <= 1e-9 * extents.max()]
+    if flat:
+        i, j = (axis for axis in range(3) if axis != flat[0])
+        return [(i, j)]
+    return [(0, 1), (0, 2)]
+
+
 def _draw(ax: Axes, part: Drawn, places: _Places, k: int, view: tuple[int, int]) -> None:
     """Draw one source in one view: stars, with a line from each star to every method's estimate."""
     i, j = view
-    ax.plot([0.0], [0.0], **ORIGIN, zorder=1)
+    ax.plot(places.origin[[i]], places.origin[[j]], **ORIGIN, zorder=1)
     truth = places.truth[:, k]
     for name in part.coloured:
         style = part.styles[name]

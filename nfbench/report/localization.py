@@ -7,6 +7,7 @@ import io
 import json
 import math
 from collections.abc import Mapping
+from typing import Any
 
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
@@ -33,8 +34,11 @@ def print_localization(found: Localization, console: Console) -> None:
     for note in found.notes:
         console.print(shown(note))
     if found.fit:
-        facts = (f"{_heading(name)} {value:.4g}" for name, value in found.fit.items() if not math.isnan(value))
-        console.print(shown(f"Fit: {', '.join(facts)}"))
+        facts = [_fact(name, value) for name, value in found.fit.items() if not math.isnan(value)]
+        for line in _lines("Fit: ", facts, console.width):
+            console.print(shown(line))
+    if found.method:
+        console.print(shown(f"Method: {_method_text(found.method)}"))
     for warning in found.warnings:
         end = "" if warning.endswith((".", "?")) else "."
         console.print(shown(f"Warning: {warning}{end}", "yellow"))
@@ -45,6 +49,7 @@ def localization_json(found: Localization) -> str:
     table = {
         "sources": [_plain(source) for source in found.sources],
         "fit": {name: _counted(value) for name, value in _plain(found.fit).items()},
+        "method": dict(found.method),
         "warnings": list(found.warnings),
     }
     return json.dumps(table, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
@@ -60,6 +65,42 @@ def localization_csv(found: Localization) -> str:
         values = _plain(source)
         writer.writerow([k, *("" if values.get(name) is None else repr(values[name]) for name in names)])
     return text.getvalue()
+
+
+def _fact(name: str, value: float) -> str:
+    """A number of the fit with its name; a probability that is too small for a float is not 0."""
+    return f"{_heading(name)} < 1e-300" if name == "p_value" and value == 0 else f"{_heading(name)} {value:.4g}"
+
+
+def _lines(start: str, parts: list[str], width: int) -> list[str]:
+    """The parts of a list in lines that break only between them."""
+    lines = [start]
+    for k, part in enumerate(parts):
+        text = part + ("," if k + 1 < len(parts) else "")
+        if len(f"{lines[-1]}{text}") > width and lines[-1] != start:
+            lines[-1] = lines[-1].rstrip()
+            lines.append("")
+        lines[-1] += f"{text} "
+    return [line.rstrip() for line in lines]
+
+
+def _method_text(method: Mapping[str, Any]) -> str:
+    """The method in one line, such as "neef (objective = dml) + de (population = 40), 8,000 evaluations, seed 0"."""
+    parts = [method["formulation"] + _options_text(method["options"])]
+    if "solver" in method:
+        parts[0] += f" + {method['solver']}{_options_text(method['solver_options'])}"
+        units = {"evaluations": " evaluations", "seconds": " s", "start": " common starting points"}
+        parts += [f"{value:,}{units[name]}" for name, value in method["budget"].items()]
+    parts.append(f"seed {method['seed']}")
+    if "study" in method:
+        points = ", ".join(f"{name.removeprefix('scenario.')} = {value}" for name, value in method["swept"].items())
+        parts.append(f"recommended by {method['study']}" + (f" at {points}" if points else ""))
+    return ", ".join(parts)
+
+
+def _options_text(options: Mapping[str, Any]) -> str:
+    listed = ", ".join(f"{name} = {value}" for name, value in options.items())
+    return f" ({listed})" if listed else ""
 
 
 def _plain(numbers: Mapping[str, float]) -> dict[str, float | None]:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from types import MappingProxyType
 from typing import Any
 
 import pandas as pd
@@ -20,14 +21,22 @@ ROWS = 24  # with more, only the best methods are shown
 DISPENSABLE = ("bias", "median", "bound")  # columns that are dropped first, in this order, on a narrow terminal
 
 _Number = Callable[[float], str]
+_Order = Mapping[str, Sequence[str]]
 
 
-def print_parameters(summary: pd.DataFrame, ranking: pd.DataFrame, console: Console, number_text: _Number) -> None:
+def print_parameters(
+    summary: pd.DataFrame,
+    ranking: pd.DataFrame,
+    console: Console,
+    number_text: _Number,
+    order: _Order = MappingProxyType({}),
+) -> None:
     """Print the errors of the single parameters, by swept point; nothing if the scenario has none.
 
     summary: the columns of ``summary.csv``.
     ranking: the columns of ``ranking.csv``; empty if methods are not ranked.
     number_text: prints a number.
+    order: methods by the title of the swept point, in the order of the table of that point; others follow.
     """
     if not (known := parameters(summary.columns)):
         return
@@ -39,14 +48,21 @@ def print_parameters(summary: pd.DataFrame, ranking: pd.DataFrame, console: Cons
         *(["bound"] if any(p.bound in summary and _has(summary[p.bound]) for p in known) else []),
     ]
     droppable = [head for head in DISPENSABLE if head in heads]
-    table = _table(rows, known, heads, number_text)
+    table = _table(rows, known, heads, number_text, order)
     while droppable and console.measure(table, options=console.options.update(max_width=1000)).maximum > console.width:
         heads.remove(droppable.pop(0))
-        table = _table(rows, known, heads, number_text)
+        table = _table(rows, known, heads, number_text, order)
     console.print()
     console.print(table)
     if len(rows) < len(summary):
         console.print("Only the best methods at each point; summary.csv has all.")
+
+
+def _in_order(rows: pd.DataFrame, order: Sequence[str]) -> pd.DataFrame:
+    """The rows, the methods in this order; others follow as they are."""
+    place = {method: k for k, method in enumerate(order)}
+    ranks = rows["method"].map(lambda method: place.get(method, len(place)))
+    return rows.iloc[ranks.to_numpy().argsort(kind="stable")]
 
 
 def _has(values: pd.Series) -> bool:
@@ -64,7 +80,7 @@ def _best(summary: pd.DataFrame, ranking: pd.DataFrame) -> pd.DataFrame:
     return kept if len(kept) else summary
 
 
-def _table(rows: pd.DataFrame, known: list[Parameter], heads: list[str], number_text: _Number) -> Table:
+def _table(rows: pd.DataFrame, known: list[Parameter], heads: list[str], number_text: _Number, order: _Order) -> Table:
     table = Table(
         title="Errors per parameter",
         title_justify="left",
@@ -81,7 +97,7 @@ def _table(rows: pd.DataFrame, known: list[Parameter], heads: list[str], number_
     for title, part in _by_point(rows):
         if title:
             table.add_row(Text(printable(title), "dim"))
-        for row in part.to_dict("records"):
+        for row in _in_order(part, order.get(title, ())).to_dict("records"):
             numbers = (row.get(_column(parameter, head), float("nan")) for parameter in known for head in heads)
             table.add_row(Text(printable(row["method"])), *map(number_text, numbers))
     return table

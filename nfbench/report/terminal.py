@@ -51,11 +51,14 @@ def print_report(results: Results, console: Console) -> None:
     for note in evidence.hits.notes:
         if not note.endswith(AT_END):  # this only makes costs of hits larger
             console.print(shown(note, "dim"))
+    ranking = evidence.ranking
     tables = list(_by_point(summary))
-    for block, ranks, verdict in _overall_first(evidence.ranking):
+    order: dict[str, list[str]] = {}
+    for block, ranks, verdict in _overall_first(ranking):
         console.print()
         if len(block.points) == 1:
             title, rows = tables.pop(0)
+            order[title] = _ordered(ranks, block)["method"].tolist()
             table = summary_table(title, rows, meta["error"], float(meta["outlier_m"]), console, ranks, block)
         else:
             table = _overall_table(ranks, block, console)
@@ -66,7 +69,7 @@ def print_report(results: Results, console: Console) -> None:
             console.print(summary_table(title, rows, meta["error"], float(meta["outlier_m"]), console))
         console.print(shown(evidence.unranked))
     _print_claims(evidence.claims(), console)
-    print_parameters(summary, evidence.ranking.frame, console, number_text)
+    print_parameters(summary, ranking.frame, console, number_text, order)
     print_proofs(evidence.references, results.reference_counts.get("open", 0), console)
     _print_failures(runs, console)
 

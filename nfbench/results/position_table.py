@@ -97,32 +97,40 @@ def positions_frame(rows: Sequence[tuple[Any, ...]], keys: Sequence[str], runs_p
     about |= {swept_column(key): [cell(each.get(key)) for each in swept] for key in keys}
     table = pd.DataFrame(about).loc[np.repeat(np.arange(len(rows)), counts)].reset_index(drop=True)
     with np.errstate(all="ignore"):  # positions may be infinite
+        distances = np.linalg.norm(estimated[:, :3] - true[:, :3], axis=1)
         columns = {f"true_{name}": values for name, values in _coordinates(true).items()}
         columns |= _coordinates(estimated)
-        columns["error_m"] = np.linalg.norm(estimated - true, axis=1)
+        columns["error_m"] = distances
     source = pd.Series(numbers, dtype="Int64").where(pd.Series(known, dtype=bool))
     return table.assign(source=source, **columns)
 
 
 def _padded(parts: Sequence[ndarray], counts: ndarray) -> ndarray:
-    """The rows of all parts, each part filled up with NaN to its count (n, 3)."""
-    rows = np.full((int(counts.sum()), 3), np.nan)
+    """The rows of all parts, each part filled up with NaN to its count (n, 6): x, y, z, azimuth, elevation, range."""
+    rows = np.full((int(counts.sum()), 6), np.nan)
     first = 0
     for part, count in zip(parts, counts.tolist(), strict=True):
-        rows[first : first + len(part)] = part
+        rows[first : first + len(part)] = part if part.shape[1] == 6 else _with_angles(part)
         first += count
     return rows
 
 
-def _coordinates(points: ndarray) -> dict[str, ndarray]:
-    """The Cartesian and spherical coordinates of points (n, 3) [m] by column name."""
+def _with_angles(points: ndarray) -> ndarray:
+    """Points (n, 3), followed by their azimuth, elevation [rad] and range [m] from the origin along x, y and z."""
     x, y, z = points.T
-    across = np.hypot(x, y)
+    with np.errstate(all="ignore"):
+        across = np.hypot(x, y)
+        return np.column_stack([points, np.arctan2(y, x), np.arctan2(z, across), np.hypot(across, z)])
+
+
+def _coordinates(points: ndarray) -> dict[str, ndarray]:
+    """The Cartesian and spherical coordinates of points (n, 6) [m, rad] by column name."""
+    x, y, z, azimuth, elevation, r = points.T
     return {
         "x_m": x,
         "y_m": y,
         "z_m": z,
-        "azimuth_deg": np.degrees(np.arctan2(y, x)),
-        "elevation_deg": np.degrees(np.arctan2(z, across)),
-        "range_m": np.hypot(across, z),
+        "azimuth_deg": np.degrees(azimuth),
+        "elevation_deg": np.degrees(elevation),
+        "range_m": r,
     }

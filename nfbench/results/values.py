@@ -24,7 +24,7 @@ _FIELDS = ("evaluations", "seconds", "values", "points")
 
 def checked_row(table: str, names: Sequence[str], row: Sequence[Any]) -> list[Any]:
     """The values of a row of a table: ``scores`` and ``columns`` as a dict, ``estimate`` and ``point`` as lists,
-    ``truth`` and ``estimated`` as arrays (n, 3).
+    ``truth`` and ``estimated`` as arrays (n, 3) or (n, 6).
 
     ``swept`` and ``traces`` are checked by ``settings`` and ``unpacked`` where they are used. Raises ValueError, which
     names the row and the column, if a value is not one that a run can have.
@@ -109,9 +109,11 @@ def _point(value: Any) -> list[float] | None:
 
 def _places(value: Any) -> ndarray:
     found = np.array(json.loads(_text(value)), dtype=np.float64)
-    if found.size and (found.ndim != 2 or found.shape[1] != 3):
-        raise ValueError(f"expected a list of points [x, y, z], found {value!r:.80}")
-    return found.reshape(-1, 3)
+    if not found.size:
+        return np.empty((0, 3))
+    if found.ndim != 2 or found.shape[1] not in (3, 6):
+        raise ValueError(f"expected a list of points [x, y, z] or [x, y, z, φ, ψ, r], found {value!r:.80}")
+    return found
 
 
 def _blob(value: Any) -> bytes:

@@ -163,6 +163,7 @@ def _planned(
         targets=_targets(manifest, methods),
         claims=manifest.claim,
         proven=proven,
+        most_scenes=sweep.most_scenes,
     )
     _check_claims(study, resolver.errors)
     return replace(study, warnings=(*study.warnings, *plugin_warnings(sweep, methods, resolver)))

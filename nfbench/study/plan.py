@@ -10,7 +10,7 @@ from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
-from nfbench.core import OptionError
+from nfbench.core import NfbenchError, OptionError
 
 from .records import Method, Point, RunSpec
 
@@ -41,6 +41,7 @@ class Study:
     claims: tables of the claims that the study tests, as in the manifest.
     proven: labels of the formulations whose optimum in each scene is to be proven.
     folder: folder that relative paths in the manifest refer to.
+    most_scenes: number of different scenes that the scenario has, and why; None if there is no limit.
     """
 
     name: str
@@ -60,6 +61,7 @@ class Study:
     claims: tuple[dict[str, Any], ...] = ()
     proven: tuple[str, ...] = ()
     folder: Path = field(default=Path(), repr=False)
+    most_scenes: tuple[int, str] | None = None
 
     def __post_init__(self) -> None:
         runs = self.scenes * self._runs_of_scene
@@ -71,6 +73,12 @@ class Study:
 
     def __len__(self) -> int:
         return self.scenes * self._runs_of_scene
+
+    def check_scenes(self, number: int) -> None:
+        """Raise NfbenchError if the scenario does not have so many different scenes."""
+        if self.most_scenes and number > self.most_scenes[0]:
+            most, reason = self.most_scenes
+            raise NfbenchError(f"expected at most {most:,} scenes together, {reason}, got {number:,}")
 
     @cached_property
     def swept(self) -> list[str]:

@@ -97,6 +97,15 @@ class Sweep:
         measures = {scenario.ranked_by(): None for scenario in self.scenarios if scenario is not None}
         if len(measures) > 1 and not errors.texts:
             errors.add("sweep", f"expected points with one measure of the error, got {', '.join(measures)}")
+        most = self.most_scenes
+        if most and self.manifest.scenes > most[0]:
+            errors.add("scenes", f"expected at most {most[0]:,}, {most[1]}, got {self.manifest.scenes:,}")
+
+    @property
+    def most_scenes(self) -> tuple[int, str] | None:
+        """The smallest number of different scenes at any point, and its reason; None if there is no limit."""
+        limits = [scenario.most_scenes() for scenario in self.scenarios if scenario is not None]
+        return min((limit for limit in limits if limit is not None), default=None)
 
     def _may_be_built(self) -> bool:
         """Whether the scenario is given and there are not too many points; if not, record the error."""

@@ -150,6 +150,7 @@ class _Search:
         self.method = _method(study, plan)
         self.registry = Registry(study.plugins)
         self.first = max(study.scenes, plan.held_out)  # first training repetition
+        study.check_scenes(self.first + plan.training)
         default = self.registry.make("solver", plan.solver, plan.options)
         self.domains = {name: d for name, d in domains(type(default)).items() if name not in plan.options}
         if not self.domains:

@@ -16,7 +16,7 @@ from nfbench import Instance, Localization
 from .arrays import Array
 from .bands import Band
 from .calibration import ALL, calibrated
-from .diagnosis import describe_sources
+from .diagnosis import Reading, describe_sources
 from .geometry import Frame
 from .wavefronts import Manifold
 
@@ -38,6 +38,7 @@ class ArrayInstance(Instance, ABC):
     coupling: known matrix of mutual coupling, shape (M, M); None: not known, or none.
     failed: indices of elements that are known to receive noise only.
     element_positions: known true positions of the elements relative to the origin [m], shape (M, 3); None: as nominal.
+    reading: how the data were read, as far as warnings depend on it.
     is_measured: whether gains and noise were given with the data, so that estimators know them.
     """
 
@@ -55,6 +56,7 @@ class ArrayInstance(Instance, ABC):
     failed: tuple[int, ...] = ()
     element_positions: Float[ndarray, "m 3"] | None = None
     further: tuple[Band, ...] = ()
+    reading: Reading = Reading()
 
     @property
     def bands(self) -> tuple[Band, ...]:
@@ -66,6 +68,9 @@ class ArrayInstance(Instance, ABC):
     def sources(self) -> int:
         """The number K of sources that formulations with ``sources = "known"`` search for."""
 
+    def origin(self) -> Float[ndarray, " 3"]:
+        return self.frame.origin
+
     def describe(self, estimate: Float[ndarray, "found d"], columns: Mapping[str, float]) -> Localization:
         """Return the positions, standard errors, goodness of fit and warnings of an estimate (K̂, d) [rad, m].
 
@@ -73,8 +78,10 @@ class ArrayInstance(Instance, ABC):
         """
         theta = np.asarray(estimate, dtype=np.float64).reshape(-1, self.manifold.dimension)
         Y, manifold = calibrated(self, ALL)[0].received if self.is_measured else (self.Y, self.manifold)
-        found = describe_sources(Y, manifold, self.frame, self.lower, self.upper, self.sources, theta, self.truth())
-        return replace(found, notes=self.notes)
+        found = describe_sources(
+            Y, manifold, self.frame, self.lower, self.upper, self.sources, theta, self.truth(), self.reading
+        )
+        return replace(found, notes=(*self.notes, *found.notes))
 
 
 class ArrayScenario(Protocol):

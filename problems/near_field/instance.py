@@ -111,9 +111,11 @@ class NearFieldInstance(ArrayInstance):
         errors = position_errors(self.theta, estimates) if measure == "rmse_m" else None
         return super().errors(measure, estimates) if errors is None else errors
 
-    def positions(self, estimate: Float[ndarray, "q d"]) -> tuple[Float[ndarray, "k 3"], Float[ndarray, "_ 3"]]:
+    def positions(
+        self, estimate: Float[ndarray, "q d"]
+    ) -> tuple[Float[ndarray, "k columns"], Float[ndarray, "_ columns"]]:
         """Return the true positions, and the estimates assigned to them as in ``score`` before the others [m]."""
-        return positions_of(self.theta, estimate)
+        return positions_of(self.theta, estimate, self.frame)
 
     def bounds(self) -> dict[str, float]:
         """Return reference values [m] for the errors of this scene, by column name.
@@ -205,15 +207,36 @@ def position_errors(
 
 
 def positions_of(
+    theta: Float[ndarray, "k d"], estimate: Float[ndarray, "q d"], frame: Frame
+) -> tuple[Float[ndarray, "k columns"], Float[ndarray, "_ columns"]]:
+    """Return the true positions, and the estimates assigned as in ``position_scores`` before the others [m].
+
+    They are in the coordinates of the user. If these differ from those of this module, azimuth, elevation [rad] and
+    range [m] follow.
+    """
+    truth, ordered = assigned_positions(theta, estimate)
+    if not frame.origin.any() and np.array_equal(frame.axes, np.eye(3)):
+        return truth, ordered
+    return _outward(truth, frame), _outward(ordered, frame)
+
+
+def assigned_positions(
     theta: Float[ndarray, "k d"], estimate: Float[ndarray, "q d"]
 ) -> tuple[Float[ndarray, "k 3"], Float[ndarray, "_ 3"]]:
-    """Return the true positions, and the estimates assigned as in ``position_scores`` before the others [m]."""
+    """Return the same in the coordinates of this module."""
     truth = cartesian(theta)
     found = cartesian(np.asarray(estimate, dtype=np.float64).reshape(-1, theta.shape[1]))
     source, guess = linear_sum_assignment(np.sum((truth[:, None] - found) ** 2, axis=-1))
     matched = np.full_like(truth, math.nan)
     matched[source] = found[guess]
     return truth, np.vstack([matched, np.delete(found, guess, axis=0)])
+
+
+def _outward(p: Float[ndarray, "n 3"], frame: Frame) -> Float[ndarray, "n 6"]:
+    """Return points of this module in the coordinates of the user, followed by azimuth, elevation and range."""
+    across = np.hypot(p[:, 0], p[:, 1])
+    angles = np.arctan2(p[:, 1], p[:, 0]), np.arctan2(p[:, 2], across)
+    return np.column_stack([frame.outward(p), *angles, np.hypot(across, p[:, 2])])
 
 
 def _assigned(squares: Float[ndarray, "r k found"]) -> Float[ndarray, " r"]:

@@ -123,6 +123,29 @@ def test_the_cheapest_of_equally_accurate_methods_is_recommended():
     assert block.ert == pytest.approx(cost.mean(axis=0))
 
 
+def test_of_equal_methods_the_recommended_one_solves_most_then_has_the_lowest_error_then_the_lowest_cost():
+    """No difference is significant: each shows in one scene only, is below the tie, or has no consistent sign."""
+    n = 16
+    hits = np.ones((n, 4), dtype=int)
+    hits[3, 0] = 0  # the cheapest misses one scene
+    error = spread(n, 1) * np.ones((1, 4))
+    cost = np.tile([90.0, 100.0, 100.0, 99.0], (n, 1))
+    block = only(rank([({}, point(error, cost, hits=hits))]))
+    assert best(block) == {"A", "B", "C", "D"} and block.order == (3, 1, 2, 0)
+    text = sentences(rank([({}, point(error, cost, hits=hits))]))[0]
+    assert "Among all 4 methods, no difference in gap is significant." in text
+    assert "Recommended: D, the cheapest of those that solved the most (99 evaluations per hit)" in text
+    error = np.full((n, 4), 0.01)
+    error[:9, 3], error[9:, 3] = 0.02, 0.005  # a larger median, but no consistent sign
+    error[:9, 2], error[9:, 2] = 0.02, 0.005
+    ranking = rank([({}, point(error, cost, hits=hits))])
+    assert only(ranking).order == (1, 3, 2, 0)
+    assert "Recommended: B, the most accurate of those that solved the most (100 ev" in sentences(ranking)[0]
+    hits[5, 1:3] = 0
+    text = sentences(rank([({}, point(error, cost, hits=hits))]))[0]
+    assert "Recommended: D, which solved the most of 4 methods that are not significantly different" in text
+
+
 def test_costs_are_compared_up_to_the_smaller_cap():
     """B's hits after A's cap of 100 evaluations are misses for the comparison with A, so they tie with A's misses."""
     cost = np.array([[90.0, 500.0]] * 10 + [[INF, 500.0]] * 10 + [[90.0, 50.0]] * 10)
@@ -316,3 +339,10 @@ def test_methods_without_evaluations_are_compared_in_seconds():
     ranking = rank([({}, outcomes)])
     assert ranking.frame.set_index("method")["in_best_set"].to_dict() == {"grid": False, "solver": True}
     assert "Recommended: solver" in sentences(ranking)[0]
+
+
+def test_labels_with_commas_are_quoted_in_lists_and_errors_have_their_unit():
+    assert names(["a, b", "c", "d and e"]) == '"a, b", c and "d and e"'
+    error = spread(16, 2) * 1e-3
+    outcomes = Outcomes(**{**vars(point(error)), "error_name": "rmse_m"})
+    assert "more likely to hit error ≤ 1 m than another" in sentences(rank([({}, outcomes)]))[0]

@@ -54,7 +54,7 @@ def test_the_table_and_the_files_agree(folder):
     done = localize("y.npy", *ARRAY, *WAVE, *BOX, "--sources", 2, "--method", "grid-refine", *files)
     assert done.exit_code == 0, (done.output, done.exception)
     table = json.loads((folder / "o.json").read_text())
-    assert list(table) == ["sources", "fit", "warnings"] and table["warnings"] == []
+    assert list(table) == ["sources", "fit", "method", "warnings"] and table["warnings"] == []
     expected = [*SOURCE_COLUMNS, *(f"std_{name}" for name in SOURCE_COLUMNS), "snr_db"]
     assert [list(source) for source in table["sources"]] == [expected, expected]
     assert places(table) == pytest.approx(SOURCES, abs=0.01)
@@ -144,8 +144,8 @@ WRONG = [
     (("y.npy", "--method", "neef"), '"neef + de"'),
     (("y.npy", "--method", "grid-refin"), 'did you mean "grid-refine"'),
     (("y.npy", "--option", "densty=2"), 'did you mean "density"'),
-    (("y.npy", "--range-m", 2, 1), "range_m"),
-    (("y.npy", "--range-m", "nan", 1), "range_m"),
+    (("y.npy", "--range-m", 2, 1), "--range-m"),
+    (("y.npy", "--range-m", "nan", 1), "--range-m"),
     (("y.npy", "--scenario-option", "colour=3"), "colour"),
     (("y.npy", "--scenario", "q.csv"), "q.csv"),
     (("y.npy", "--study", "."), ""),

@@ -75,7 +75,7 @@ def test_without_defaults_canonical_data_contains_only_what_was_chosen():
         ({"size": True}, [("size", "expected integer, got True")]),
         ({"F": "x"}, [("F", "expected number, got 'x'")]),
         ({"F": float("nan")}, [("F", "expected a number, got nan")]),
-        ({"rule": "clop"}, [("rule", "expected 'clip' or 'resample', got 'clop'")]),
+        ({"rule": "clop"}, [("rule", "expected 'clip' or 'resample', got 'clop'; did you mean \"clip\"?")]),
         ({"snr": "x"}, [("snr", "expected number or list, got 'x'")]),
         ({"array": {"kind": "lin"}}, [("array.kind", "unknown kind 'lin'; did you mean \"line\"?")]),
         ({"array": {}}, [("array.kind", "is required; known: line, ring")]),

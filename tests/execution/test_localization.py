@@ -1,5 +1,7 @@
 """``nfbench.localize``: one recording, one method; values on simulated and measured recordings, and clear errors."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from conftest import PROJECT
@@ -7,7 +9,8 @@ from conftest import nfbench as command
 
 import nfbench
 from nfbench import NfbenchError, OptionError
-from nfbench.execution import recommended
+from nfbench.execution import procedure, recommended
+from nfbench.plugins import Registry
 
 DATA = PROJECT / ".." / "shared" / "data" / "miracle"
 measured = pytest.mark.skipif(not DATA.is_dir(), reason=f"the measured data are not in {DATA}")
@@ -101,6 +104,15 @@ def test_an_array_in_millimetres_is_an_error_that_names_the_unit(recording):
         nfbench.localize(Y, 1000 * Q, **TWO)
 
 
+def test_a_tested_unit_is_the_first_warning_and_replaces_the_guess_from_the_size(recording):
+    Q, Y = recording
+    with pytest.raises(NfbenchError) as caught:  # centimetres that are read as metres
+        nfbench.localize(Y, 100 * Q, **TWO)
+    first, *others = str(caught.value).splitlines()[1:]
+    assert first.startswith("  the coordinates of the array are probably 100 times too large") and "--unit cm" in first
+    assert not [text for text in others if text.startswith("  array: its")]
+
+
 @pytest.mark.parametrize(
     ("method", "message"),
     [
@@ -146,7 +158,7 @@ def test_dead_channels_are_named_by_their_number(recording):
     Q, Y = recording
     dead = Y.copy()
     dead[[7, 31]] *= 1e-4
-    assert any("7, 31" in text and "failed = [7, 31]" in text for text in nfbench.localize(dead, Q, **TWO).warnings)
+    assert any("7 and 31" in text and "failed = [7, 31]" in text for text in nfbench.localize(dead, Q, **TWO).warnings)
     found = nfbench.localize(dead, Q, failed=[7, 31], **TWO)
     assert found.warnings == () and found.fit["elements"] == 38
 
@@ -186,13 +198,44 @@ def test_the_method_that_a_study_recommends_is_taken_with_its_options(tmp_path, 
     how = recommended(tmp_path / "results" / "choice")
     assert how.label == "neef + de" and how.formulation.objective == "dml" and how.solver.population == 37
     assert how.budget.evaluations == 1000
-    assert np.isfinite(places(nfbench.localize(Y, Q, method=how, **TWO))).all()
+    found = nfbench.localize(Y, Q, method=how, seed=4, **TWO)
+    assert np.isfinite(places(found)).all()
+    assert found.method == {
+        "formulation": "neef",
+        "options": {"objective": "dml"},
+        "solver": "de",
+        "solver_options": {"population": 37},
+        "budget": {"evaluations": 1000},
+        "seed": 4,
+        "study": str(tmp_path / "results" / "choice"),
+        "label": "neef + de",
+        "swept": {},
+    }
+    (text,) = [text for text in found.warnings if "may not hold for this recording" in text]
+    assert "its wavelength is 0.1 m, that of the recording 0.343 m" in text
+    assert "its array has 16 elements, that of the recording 40" in text
+    assert "sources" not in text  # both have two
+
+
+def test_a_study_of_the_same_array_at_the_same_wavelength_has_no_warning(recording):
+    Q, Y = recording
+    same = {"kind": "custom", "origin": "center", "positions": Q.tolist()}
+    scene = {"snapshots": 9, "snr_db": 9.0, "azimuth_deg": [-60, 60], "elevation_deg": [-9, 9], "range_m": [1, 2]}
+    array = {key: TWO[key] for key in ("broadside", "up") if key in TWO}
+    own = {"array": {**same, **array}, "wavelength_m": 343.0 / 1000.0, "sources": 2, **scene}
+    scenario, few = (Registry().make("scenario", "near-field", {**own, **more}) for more in ({}, {"sources": 1}))
+    how = replace(procedure("neef + de", evaluations=300), study="mine", scenarios=(few, scenario))
+    assert not [text for text in nfbench.localize(Y, Q, method=how, **TWO).warnings if "may not hold" in text]
+    how = replace(how, scenarios=(few,), formulation=replace(how.formulation, known_gains=True))
+    warnings = nfbench.localize(Y, Q, method=how, **TWO).warnings
+    assert any("may not hold for this recording: its number of sources is 1, not 2" in text for text in warnings)
+    assert any("knows more than here (known_gains); give gains_file" in text for text in warnings)
 
 
 def test_a_study_without_a_recommendation_is_an_error(tmp_path):
     (tmp_path / "study.toml").write_text(STUDY.format(scenes=2))
     command("run", "study.toml", "--jobs", 1, cwd=tmp_path)
-    with pytest.raises(NfbenchError, match="recommends no method yet"):
+    with pytest.raises(NfbenchError, match=r"no method yet: 2 scenes cannot rank 2 methods; \d would\. Run more"):
         recommended(tmp_path / "results" / "choice")
     with pytest.raises(NfbenchError):
         recommended(tmp_path / "nothing")

@@ -169,3 +169,11 @@ def test_the_run_time_is_drawn_against_the_wanted_parameter(results):
 def test_a_parameter_without_errors_is_refused(results):
     with styled(), pytest.raises(NfbenchError, match="expected rmse, median, azimuth, range, got 'elevation'"):
         list(figures(results, Drawing(metric="elevation", only=("error",))))
+
+
+def test_the_methods_are_in_the_order_of_the_tables_above(results):
+    console = Console(file=io.StringIO(), width=200)
+    order = {"snr_db = 10.0": ["music", "grid-refine"], "snr_db = 20.0": ["grid-refine", "music"]}
+    print_parameters(results.summary(), pd.DataFrame(), console, number_text, order)
+    rows = re.findall(r"^ *(music|grid-refine)", console.file.getvalue(), re.MULTILINE)
+    assert rows == [*order["snr_db = 10.0"], *order["snr_db = 20.0"]]

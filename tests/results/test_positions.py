@@ -89,6 +89,69 @@ def test_positions_agree_with_the_scores_and_the_estimates_of_their_runs(placed_
         assert_allclose(np.sort(found, axis=0), np.sort((r * points).T, axis=0), atol=1e-12)
 
 
+TURNED = """
+name = "turned"
+seed = 1
+scenes = 2
+[scenario]
+kind = "near-field"
+array = { kind = "custom", origin = "center", positions = POSITIONS, broadside = "+z", up = "+y" }
+wavelength_m = 0.3
+sources = 2
+snapshots = 40
+snr_db = 20
+azimuth_deg = [-60, 60]
+elevation_deg = [-60, 60]
+range_m = [0.2, 3]
+positions_m = [[4.2, -6.9, 2.0], [3.7, -7.0, 1.8]]
+[[formulation]]
+kind = "grid-refine"
+"""
+
+
+@pytest.fixture(scope="module")
+def turned_study(tmp_path_factory):
+    """A study of an array in the x-y plane around (4, -7, 1) m that looks along z."""
+    folder = tmp_path_factory.mktemp("turned")
+    corners = np.random.default_rng(1).uniform(-0.5, 0.5, (12, 2))
+    corners -= corners.mean(axis=0)
+    positions = [[4 + x, -7 + y, 1.0] for x, y in corners.tolist()]
+    (folder / "study.toml").write_text(TURNED.replace("POSITIONS", repr(positions)))
+    return nfbench.run(load_study(folder / "study.toml"), out=folder / "out", jobs=0)
+
+
+def test_positions_are_in_the_coordinates_of_the_array_and_angles_from_its_broadside(turned_study):
+    table = turned_study.positions
+    true = table[table.scene == 0][[f"true_{name}" for name in XYZ]].to_numpy()
+    assert_allclose(true, [[4.2, -6.9, 2.0], [3.7, -7.0, 1.8]], atol=1e-12)
+    assert_allclose(table[XYZ].to_numpy(), np.vstack([true, true]), atol=0.05)
+    for prefix in ("true_", ""):
+        right, up, front = table[[f"{prefix}{name}" for name in XYZ]].to_numpy().T - [[4], [-7], [1]]
+        r = np.sqrt(right**2 + up**2 + front**2)
+        assert_allclose(table[f"{prefix}range_m"], r, atol=1e-12)
+        assert_allclose(table[f"{prefix}azimuth_deg"], np.degrees(np.arctan2(right, front)), atol=1e-9)
+        assert_allclose(table[f"{prefix}elevation_deg"], np.degrees(np.arcsin(up / r)), atol=1e-9)
+    runs = turned_study.runs.set_index("run_id")
+    for row in table.to_dict("records"):
+        assert_allclose(row["error_m"], runs.loc[row["run_id"], f"error_{row['source']}_m"], rtol=1e-9)
+
+
+def test_the_figure_of_positions_uses_the_coordinates_of_the_array(turned_study):
+    from nfbench.figures import Drawing, figures
+    from nfbench.figures import positions as drawing
+
+    for extents, views in (([1, 1, 0], [(0, 1)]), ([1, 1e-12, 2], [(0, 2)]), ([1, 1, 1], [(0, 1), (0, 2)])):
+        assert drawing._views(np.array(extents)) == views
+    ((_, figure),) = figures(turned_study, Drawing(only=("positions",)))
+    front, above = [ax for ax in figure.axes if ax.get_visible()][::2]
+    assert (front.get_ylabel(), above.get_xlabel(), above.get_ylabel()) == ("y [m]", "x [m]", "z [m]")
+    assert_allclose(front.lines[0].get_xydata(), [[4, -7]], atol=1e-12)  # the origin
+    assert_allclose(above.lines[0].get_xydata(), [[4, 1]], atol=1e-12)
+    for ax, truth in ((front, [4.2, -6.9]), (above, [4.2, 2.0])):
+        (stars,) = [line for line in ax.lines if line.get_label() == "truth"]
+        assert_allclose(stars.get_xydata(), [truth, truth], atol=1e-12)
+
+
 def test_the_same_scene_has_the_same_sources_for_all_methods_and_swept_values(placed_study):
     table = placed_study.positions.dropna(subset="source")
     assert (table.groupby(["scene", "source"])[[f"true_{name}" for name in XYZ]].nunique() == 1).all(axis=None)
@@ -168,7 +231,8 @@ def test_damaged_positions_are_reported_with_their_row(truth, estimated, manifes
     [
         (7, "expected two arrays or None, got int"),
         ((np.ones((2, 3)),), "expected two arrays or None, got tuple"),
-        ((np.ones((2, 2)), np.ones((2, 2))), r"expected two arrays of points \(x, 3\), got \(2, 2\)"),
+        ((np.ones((2, 2)), np.ones((2, 2))), r"expected two arrays of points \(x, 3\), .* got \(2, 2\)"),
+        ((np.ones((2, 6)), np.ones((2, 3))), r"or \(x, 6\) with angles and range, got \(2, 6\) and \(2, 3\)"),
         ((np.ones((2, 3)), np.ones((1, 3))), "expected at least 2 estimates, one per source, got 1"),
         ((np.ones((1, 3)), np.array([["x", "y", "z"]])), "expected an array of real numbers"),
     ],

@@ -49,6 +49,11 @@ class Array(ABC):
         return any(getattr(self, name, None) is not None for name in _LENGTHS)
 
     @property
+    def unit_stated(self) -> bool:
+        """Whether the user, or a file, has said in which unit the positions are."""
+        return False
+
+    @property
     def element_names(self) -> tuple[str, ...]:
         """The names of the elements; by default their numbers, from 0."""
         return tuple(map(str, range(self.count)))

@@ -15,7 +15,7 @@ from nfbench import FilePath, OptionError, Options
 from ..geometry import Frame
 from .axes import Axis, axes_of
 from .base import MAX_ELEMENTS, Array, Origin, relative_to_origin
-from .files import Unit, checked_names, checked_positions, in_metres, read_positions
+from .files import Unit, checked_names, checked_positions, header_states_unit, in_metres, read_positions
 
 __all__ = ["Custom"]
 
@@ -75,6 +75,8 @@ class Custom(Options, Array):
             Q, found = read_positions(Path(self.file), self.unit, self.variable)
             names = found if names is None else names
         checked_names(names, len(Q), "names")
+        stated = self.unit is not None or (self.file is not None and header_states_unit(Path(self.file)))
+        object.__setattr__(self, "_unit_stated", stated)
         stored = {"positions": tuple(tuple(row) for row in Q.tolist()), "names": names}
         for name, value in {**stored, "file": None, "unit": None, "variable": None}.items():
             object.__setattr__(self, name, value)
@@ -82,6 +84,11 @@ class Custom(Options, Array):
     @property
     def count(self) -> int:
         return len(self.positions or ())
+
+    @property
+    def unit_stated(self) -> bool:
+        """Whether the user or the file has said what the unit of the positions is."""
+        return bool(getattr(self, "_unit_stated", False))
 
     @property
     def in_metres(self) -> bool:

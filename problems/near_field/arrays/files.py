@@ -12,7 +12,7 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from .base import MAX_ELEMENTS
-from .text_tables import UNITS, parsed
+from .text_tables import UNITS, parsed, states_unit
 
 __all__ = ["MAX_FILE_BYTES", "Unit", "checked_names", "checked_positions", "in_metres", "read_positions"]
 
@@ -25,6 +25,14 @@ Unit: TypeAlias = Literal["m", "dm", "cm", "mm", "um", "km", "in", "ft"]
 _TEXT, _HDF5 = (".csv", ".txt", ".tsv", ".dat"), (".h5", ".hdf5")
 _SUFFIXES = (*_TEXT, ".npy", ".npz", ".mat", *_HDF5)
 _MATLAB_NUMBERS = {"double", "single", *(f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64))}
+
+
+def header_states_unit(path: Path) -> bool:
+    """Return whether the header of a text file, which can be read, names the unit of the positions."""
+    if path.suffix.lower() not in _TEXT:
+        return False
+    with path.open(encoding="utf-8-sig") as file:
+        return states_unit(file.readline(10_000))
 
 
 def read_positions(
@@ -58,7 +66,7 @@ def read_positions(
             Q = in_metres(Q, unit or "m")
     except Exception as error:  # whatever a damaged file makes a library raise
         reason = str(error) or type(error).__name__
-        raise ValueError(f"{source}: expected rows of three numbers, but reading it failed: {reason:.600}") from error
+        raise ValueError(f"{source}: expected rows of coordinates, but reading it failed: {reason:.600}") from error
     Q = checked_positions(Q, source)
     checked_names(names, len(Q), source)
     return Q, names

@@ -28,18 +28,21 @@ def unusual(array: Array, wavelength_m: float, faces_forward: bool) -> tuple[str
     """
     Q = array.place(wavelength_m)
     found = []
-    extent = float(np.linalg.norm(np.ptp(Q, axis=0)))
+    extent = array.aperture_m(wavelength_m)
     closest = float(nearest_distances(Q).min())
-    size = f"{array.count} elements extend over {extent:.4g} m, {extent / wavelength_m:,.4g} wavelengths"
+    size = f"{array.count} elements have an aperture of {extent:.4g} m, {extent / wavelength_m:,.4g} wavelengths"
     apart = f"and are at least {closest:.4g} m apart, {closest / wavelength_m:,.4g} wavelengths"
     is_custom = isinstance(array, Custom)
     unit = "its spacing or radius is in " + ("metres" if array.in_metres else "wavelengths")
     unit = "positions are in metres" if is_custom else unit
-    remedy = ': are these millimetres? then set unit = "mm"' if is_custom else ""
+    remedy = ': are these millimetres? then set unit = "mm" (--unit mm)' if is_custom and not array.unit_stated else ""
+    others = "; or check the frequency [Hz], --frequency-hz, and the speed [m/s], --speed"
     if extent > LARGE * wavelength_m or closest > SPARSE * wavelength_m:
-        found.append(f"array: its {size} of {wavelength_m:g} m, {apart}; half a wavelength is usual; {unit}{remedy}")
+        found.append(
+            f"array: its {size} of {wavelength_m:g} m, {apart}; half a wavelength is usual; {unit}{remedy}{others}"
+        )
     elif extent < SMALL * wavelength_m:
-        found.append(f"array: its {size} of {wavelength_m:g} m, so that it resolves no directions; {unit}")
+        found.append(f"array: its {size} of {wavelength_m:g} m, which hardly resolves directions; {unit}{others}")
     if isinstance(array, Custom) and faces_forward:
         found += _facing_sideways(array, Q, wavelength_m)
     return tuple(found)

@@ -120,9 +120,10 @@ def _near_field(array: Array, wavelength: float) -> Iterator[tuple[str, str]]:
 def _doubts(array: Array, Q: Float[ndarray, "m 3"], wavelength: float | None) -> Iterator[str]:
     """Yield sentences about units, the orientation and the spacing."""
     if wavelength is None:
-        extent = float(np.linalg.norm(np.ptp(Q, axis=0)))
-        if extent > FAR_APART:
-            yield f'array: its elements extend over {extent:.4g} m: are these millimetres? then set unit = "mm"'
+        aperture = array.aperture_m(1.0)
+        if aperture > FAR_APART:
+            hint = "" if array.unit_stated else ': are these millimetres? then set unit = "mm"'
+            yield f"array: its elements have an aperture of {aperture:.4g} m{hint}"
         return
     yield from unusual(array, wavelength, faces_forward=True)
     spacing = float(np.median(nearest_distances(Q))) / wavelength

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-__all__ = ["UNITS", "parsed"]
+__all__ = ["UNITS", "parsed", "states_unit"]
 
 UNITS: dict[str, tuple[float, float]] = {  # a length in metres is the number times the first and divided by the second
     "m": (1.0, 1.0),
@@ -40,6 +40,13 @@ _COORDINATE = re.compile(
 )
 _BEFORE_UNIT = re.compile(r"\s+(?=[\[(])")
 _DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+(?:[eE][+-]?\d+)?|[+-]?\d+,")
+
+
+def states_unit(line: str) -> bool:
+    """Return whether a line is a header that names the unit of a coordinate."""
+    cells = _split([line.lstrip("# ").strip("\r\n")])[0] if line.strip() else []
+    found = (_COORDINATE.fullmatch(cell.strip().casefold()) for cell in cells)
+    return any(each["bracket"] or each["suffix"] for each in found if each)
 
 
 @dataclass(frozen=True)

@@ -6,5 +6,6 @@ from .description import describe_sources
 from .diagnose import Diagnosis, diagnose
 from .eigenvalues import Spectrum, spectrum
 from .goodness import Fit, fit
+from .reading import Reading
 
-__all__ = ["Diagnosis", "Fit", "Spectrum", "describe_sources", "diagnose", "fit", "spectrum"]
+__all__ = ["Diagnosis", "Fit", "Reading", "Spectrum", "describe_sources", "diagnose", "fit", "spectrum"]

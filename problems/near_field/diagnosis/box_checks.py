@@ -7,6 +7,7 @@ import math
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
+from scipy.sparse.csgraph import connected_components
 
 from ..geometry import ambiguity, cartesian, nearest_distances
 from ..search import grid_size, resolution, resolution_grid, search_locally
@@ -59,15 +60,17 @@ def _listed(words: list[str]) -> str:
 
 
 def coincidence_warnings(theta: Float[ndarray, "k d"], manifold: Manifold) -> list[str]:
-    """Return a sentence if the responses of two estimates are nearly the same, so that their powers are not known."""
+    """Return a sentence if responses of estimates are nearly the same, so that their powers are not known."""
     A = manifold.response(theta)
     alike = np.triu(np.abs(A.conj() @ A.T / manifold.elements) ** 2, 1) > SAME
     if not alike.any():
         return []
-    i, j = np.argwhere(alike)[0] + 1
+    count, place = connected_components(alike, directed=False)
+    groups = [np.flatnonzero(place == k) + 1 for k in range(count)]
+    same = ", ".join(_listed([str(k) for k in group]) for group in groups if len(group) > 1)
     return [
-        f"sources {i} and {j} are at nearly the same place: the data probably contain fewer sources; set sources to "
-        f"{len(theta) - 1} (--sources {len(theta) - 1})"
+        f"sources {same} are at nearly the same place: the data probably contain fewer sources; set sources to "
+        f"{count} (--sources {count})"
     ]
 
 

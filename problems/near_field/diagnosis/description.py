@@ -14,8 +14,11 @@ from nfbench import Localization, Picture
 from ..bounds import information_root
 from ..geometry import Frame, cartesian, direction_derivatives, directions
 from ..wavefronts import Manifold
+from .alternatives import OTHER_UNIT
 from .diagnose import Diagnosis, diagnose
 from .goodness import misfit, source_covariance
+from .mirror import mirror_notes
+from .reading import Reading
 
 __all__ = ["describe_sources"]
 
@@ -32,6 +35,7 @@ def describe_sources(
     sources: int,
     theta: Float[ndarray, "k d"],
     truth: Float[ndarray, "n d"] | None = None,
+    reading: Reading | None = None,
 ) -> Localization:
     """Return positions, standard errors, goodness of fit and warnings of an estimate.
 
@@ -51,8 +55,9 @@ def describe_sources(
     sources: number K of sources that were searched for.
     theta: estimated sources [rad, m], shape (K̂, d).
     truth: true sources [rad, m]; None: not known.
+    reading: how the data were read; None: nothing is known about it.
     """
-    diagnosis = diagnose(Y, manifold, frame, lower, upper, sources, theta)
+    diagnosis = diagnose(Y, manifold, frame, lower, upper, sources, theta, reading or Reading())
     powers, C = _uncertainty(manifold, theta, diagnosis, Y.shape[1])
     C[(~_inside(theta, lower, upper)).repeat(theta.shape[1])] = math.nan
     rows, covariances = _sources(frame, theta, powers, C)
@@ -75,7 +80,10 @@ def describe_sources(
         covariances=covariances,
         truth=None if truth is None else frame.outward(cartesian(truth)),
     )
-    return Localization(rows, fit, diagnosis.warnings, picture)
+    notes = mirror_notes(theta, manifold, frame, lower, upper)
+    is_other_unit = any(text.startswith(OTHER_UNIT) for text in diagnosis.warnings)
+    replaced = ("array: its",) if is_other_unit else ()  # guesses from its size
+    return Localization(rows, fit, diagnosis.warnings, picture, tuple(notes), replaces=replaced)
 
 
 def _uncertainty(

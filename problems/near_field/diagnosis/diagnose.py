@@ -12,15 +12,19 @@ from ..geometry import Frame
 from ..wavefronts import Manifold
 from .alternatives import better_alternative, search_share
 from .box_checks import alias_warnings, coincidence_warnings, edge_warnings, side_warnings
+from .broken_elements import misfitting_elements, silent_elements
 from .data_checks import data_warnings
 from .eigenvalues import Spectrum, spectrum
 from .goodness import Fit, fit
+from .reading import Reading
 
 __all__ = ["Diagnosis", "diagnose"]
 
 LEVEL = 1e-3  # p-value below which the model does not fit
 NEARLY_ALL = 0.9  # share of the signal subspace from which no other reading of the data is searched
 MISSED = 0.8  # factor by which a search must lower the unexplained share to show that the estimate is not the best
+
+NOTHING_KNOWN = Reading()
 
 
 class Diagnosis(NamedTuple):
@@ -44,6 +48,7 @@ def diagnose(
     upper: Float[ndarray, " d"],
     sources: int,
     theta: Float[ndarray, "k d"],
+    reading: Reading = NOTHING_KNOWN,
 ) -> Diagnosis:
     """Return what the data say about an estimate, and what may be wrong.
 
@@ -56,6 +61,7 @@ def diagnose(
     lower, upper: bounds of one source [rad, m], shape (d,).
     sources: number K of sources that were searched for.
     theta: estimated sources [rad, m], shape (K̂, d); may be empty.
+    reading: how the data were read.
     """
     found = data_warnings(Y)
     if found and ("NaN" in found[0] or "all zero" in found[0]):
@@ -63,30 +69,41 @@ def diagnose(
     seen, T = spectrum(Y), Y.shape[1]
     K = len(theta)
     quality = fit(theta, manifold, lower, upper, seen, T) if 0 < K < manifold.elements else None
-    other = None
+    cause = None
     if (quality is None or not quality.p_value >= LEVEL) and seen.significant and manifold.elements > (K or sources):
-        misfit, other = _misfit(seen, manifold, frame, lower, upper, K or sources, quality)
+        misfit, cause = _misfit(Y, seen, manifold, frame, lower, upper, K or sources, quality, reading)
         found += misfit
-    if other is None:  # otherwise the following would be its symptoms
-        found += _counts(seen, K or sources)
-        found += _places(theta, manifold, lower, upper)
+    if cause is None:  # otherwise the following would be its symptoms
+        places, coinciding = _places(theta, manifold, lower, upper)
+        found += _counts(seen, K or sources, T, coinciding, reading.short_blocks) + places
     return Diagnosis(seen, quality, tuple(found))
 
 
 def _places(
     theta: Float[ndarray, "k d"], manifold: Manifold, lower: Float[ndarray, " d"], upper: Float[ndarray, " d"]
-) -> list[str]:
-    """Say what is questionable about the positions of the estimates and the box."""
+) -> tuple[list[str], bool]:
+    """Say what is questionable about the positions of the estimates and the box, and whether estimates coincide."""
     both_sides = side_warnings(manifold, lower, upper)
     if not len(theta):
-        return both_sides
-    found = coincidence_warnings(theta, manifold) + edge_warnings(theta, lower, upper) + both_sides
-    return found if both_sides else found + alias_warnings(theta, manifold, lower, upper)
+        return both_sides, False
+    same = coincidence_warnings(theta, manifold)
+    found = same + edge_warnings(theta, lower, upper) + both_sides
+    return found if both_sides else found + alias_warnings(theta, manifold, lower, upper), bool(same)
 
 
-def _counts(seen: Spectrum, K: int) -> list[str]:
-    """Compare the number of significant eigenvalues with the number of sources."""
+def _counts(seen: Spectrum, K: int, T: int, coinciding: bool, short_blocks: tuple[str, bool] | None) -> list[str]:
+    """Compare the number of significant eigenvalues with the number of sources.
+
+    coinciding: whether estimates coincide, so that more sources do not explain more.
+    short_blocks: why one source may seem to be several, and whether that is likely.
+    """
     n = seen.significant
+    if T == 1:
+        return [
+            "one snapshot shows neither the number of sources nor the noise, so that neither is tested and nothing "
+            "has a standard error; take more snapshots, or use the objective dml for several sources "
+            "(--option objective=dml)"
+        ]
     if n == 0:
         return [
             "no eigenvalue of the data rises above white noise: they show no source; check the frequency, or take more "
@@ -101,14 +118,26 @@ def _counts(seen: Spectrum, K: int) -> list[str]:
         ]
     if n > K and seen.noise > 0:
         searched = f"{K} sources are" if K > 1 else "1 source is"
-        return [
-            f"{n} eigenvalues rise above white noise, but {searched} searched: there are more sources, reflections or "
-            f"coloured noise; try sources = {K + 1} (--sources {K + 1}), or give the covariance of the noise"
-        ]
+        text = f"{n} eigenvalues rise above white noise, but {searched} searched: "
+        if short_blocks and (short_blocks[1] or coinciding):
+            return [f"{text}{short_blocks[0]}"]
+        text += "there are more sources, reflections or coloured noise; "
+        more = "" if coinciding else f"try sources = {K + 1} (--sources {K + 1}), or "
+        return [f"{text}{more}give the covariance of the noise{f'; or {short_blocks[0]}' if short_blocks else ''}"]
     return []
 
 
+def _other_data(reading: Reading) -> list[tuple[tuple[str, str], Spectrum]]:
+    """Other readings of the data themselves: what fits better, and the remedy, with the eigenvalues."""
+    if reading.transposed is None:
+        return []
+    Y, axis = reading.transposed
+    text = "the data are probably transposed: they fit far better with their axes exchanged"
+    return [((text, f"set element_axis = {axis} (--element-axis {axis})"), spectrum(Y))]
+
+
 def _misfit(
+    Y: Complex[ndarray, "m t"],
     seen: Spectrum,
     manifold: Manifold,
     frame: Frame,
@@ -116,17 +145,22 @@ def _misfit(
     upper: Float[ndarray, " d"],
     K: int,
     quality: Fit | None,
+    reading: Reading,
 ) -> tuple[list[str], str | None]:
     """Say how badly the model fits, and whether another reading of the data or another estimate fits far better.
 
-    The second result is the sentence about another reading; None if there is none.
+    The second result is the sentence about broken elements or another reading; None if there is none.
     """
     explained = quality.explained if quality else 0.0
     best = search_share(seen, manifold, lower, upper, K) if explained < NEARLY_ALL else None
-    known, other = max(explained, best or 0.0), None
-    if known < NEARLY_ALL:
-        other = better_alternative(seen, manifold, frame, lower, upper, K, known)
-    found = [other] if other else []
+    known = max(explained, best or 0.0)
+    found = silent_elements(Y, manifold, reading.elements)
+    if known < NEARLY_ALL and not found:
+        other = better_alternative(seen, manifold, frame, lower, upper, K, known, _other_data(reading))
+        found = [other] if other else []
+    if quality and not found:
+        found = misfitting_elements(Y, seen, manifold, lower, upper, quality, reading.elements)
+    cause = found[0] if found else None
     if quality and not math.isnan(quality.p_value):
         chance = f"p = {quality.p_value:.1g}" if quality.p_value > 0 else "p < 1e-300"
         found.append(
@@ -141,4 +175,4 @@ def _misfit(
             f"the estimate {100 * explained:.0f} %; use the method grid-refine (--method grid-refine), or more "
             f"evaluations"
         )
-    return found, other
+    return found, cause

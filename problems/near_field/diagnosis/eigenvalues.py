@@ -50,8 +50,10 @@ def spectrum(Y: Complex[ndarray, "m t"], level: float = LEVEL) -> Spectrum:
     U, values, _ = np.linalg.svd(compress(Y), full_matrices=False)
     eigenvalues = values**2 / T
     rank = int(np.sum(eigenvalues > NOISELESS * eigenvalues[0])) if eigenvalues[0] > 0 else 0
-    if rank < min(M, T):  # no noise in some directions: what there is counts as signal
+    if 2 * rank <= min(M, T) and rank < min(M, T):  # no noise: what there is counts as signal
         return Spectrum(U, eigenvalues, rank, 0.0)
+    if rank < min(M, T):  # channels that are zero or depend on others, or such snapshots, do not count
+        M, T = (rank, T) if M <= T else (M, rank)
     most = min(M, T) - 1
     for k in range(most):
         noise = noise_power(eigenvalues, k, M, T)

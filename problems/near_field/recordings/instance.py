@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import ClassVar, final
 
@@ -13,9 +13,10 @@ from numpy import ndarray
 
 from ..array_instance import ArrayInstance
 from ..bands import Band
+from ..diagnosis import Reading
 from ..floor import local_fit
 from ..geometry import Frame, cartesian
-from ..instance import position_errors, position_scores, positions_of
+from ..instance import assigned_positions, position_errors, position_scores, positions_of
 from ..wavefronts import Manifold
 
 __all__ = ["RecordedInstance"]
@@ -39,6 +40,7 @@ class RecordedInstance(ArrayInstance):
     notes: sentences that say how the data were read.
     noiseless: measured responses of the sources, shape (M, K); None: not known.
     further: frequency bins besides that of Y, scaled in the same way.
+    reading: how the data were read, as far as warnings depend on it.
     """
 
     is_measured: ClassVar[bool] = True
@@ -56,6 +58,7 @@ class RecordedInstance(ArrayInstance):
     notes: tuple[str, ...] = ()
     noiseless: Complex[ndarray, "m k"] | None = None
     further: tuple[Band, ...] = ()
+    reading: Reading = field(default_factory=Reading)
 
     @property
     def sources(self) -> int:
@@ -113,9 +116,11 @@ class RecordedInstance(ArrayInstance):
         errors = position_errors(self.theta, estimates) if self.theta is not None and measure == "rmse_m" else None
         return super().errors(measure, estimates) if errors is None else errors
 
-    def positions(self, estimate: Float[ndarray, "q d"]) -> tuple[Float[ndarray, "k 3"], Float[ndarray, "_ 3"]]:
+    def positions(
+        self, estimate: Float[ndarray, "q d"]
+    ) -> tuple[Float[ndarray, "k columns"], Float[ndarray, "_ columns"]]:
         theta = np.empty((0, self.manifold.dimension)) if self.theta is None else self.theta
-        return positions_of(theta, estimate)
+        return positions_of(theta, estimate, self.frame)
 
     @cached_property
     def _floor(self) -> dict[str, float]:
@@ -142,7 +147,7 @@ def _along_and_across(theta: Float[ndarray, "k d"], estimate: Float[ndarray, "fo
     """Return the errors along the lines of sight, with their sign, and perpendicular to them [m]."""
     if not len(estimate) or not np.isfinite(estimate).all():
         return {"range_bias_m": math.nan, "cross_range_m": math.nan}
-    truth, matched = positions_of(theta, estimate)
+    truth, matched = assigned_positions(theta, estimate)
     matched = matched[: len(truth)]
     paired = np.isfinite(matched).all(axis=1)
     truth, matched = truth[paired], matched[paired]

@@ -9,7 +9,22 @@ from jaxtyping import Complex, Float, Shaped
 from numpy import ndarray
 from scipy.signal import get_window
 
-__all__ = ["covariance_factor", "dead_channels", "normalized", "oriented", "spectral_snapshots", "spherical"]
+__all__ = [
+    "COMPLEX",
+    "covariance_factor",
+    "dead_channels",
+    "normalized",
+    "oriented",
+    "refuse_covariance",
+    "spectral_snapshots",
+    "spherical",
+    "without_phase",
+]
+
+COMPLEX = (
+    "the data are complex, as snapshots at one frequency are: if they are snapshots, leave out sample_rate_hz "
+    '(--sample-rate-hz) and data_kind = "samples"'
+)
 
 WEAKEST = 1e-10  # power that the sources do not explain, relative to that of the data, below which it is rounding
 SAME = 1e-6  # relative difference of two elements of a covariance that are equal up to rounding
@@ -70,7 +85,8 @@ def covariance_factor(R: Shaped[ndarray, "m m"], snapshots: int) -> Complex[ndar
     """
     M = len(R)
     if R.ndim != 2 or R.shape != (M, M):
-        raise ValueError(f"expected a square covariance, got an array of shape {R.shape}")
+        text = f"expected a square covariance, got an array of shape {R.shape}"
+        raise ValueError(f'{text}; for snapshots, leave out data_kind = "covariance" (--covariance)')
     size = float(np.abs(R).max())
     difference = np.abs(R - R.conj().T)
     if difference.max() > SAME * size:
@@ -89,6 +105,24 @@ def covariance_factor(R: Shaped[ndarray, "m m"], snapshots: int) -> Complex[ndar
     columns = min(M, snapshots)
     Y[:, :columns] = V[:, :columns] * np.sqrt(values[:columns] * snapshots)
     return Y
+
+
+def refuse_covariance(X: Complex[ndarray, "m m"]) -> None:
+    """Raise ValueError if square data that are to be snapshots are Hermitian with a positive diagonal."""
+    size = float(np.abs(X).max())
+    if len(X) > 1 and np.abs(X - X.conj().T).max() <= SAME * size and (np.diag(X).real > 0).all():
+        text = "expected snapshots, got a Hermitian table with a positive diagonal, which is probably a covariance"
+        raise ValueError(f'{text}: set data_kind = "covariance" (--covariance)')
+
+
+def without_phase(kind: str, rate_hz: float | None) -> str:
+    """Return what is wrong with real numbers that are to be complex.
+
+    rate_hz: sampling rate that the file states [Hz]; None if it states none.
+    """
+    rate = "" if rate_hz else " and sample_rate_hz (--sample-rate-hz)"
+    text = f"expected complex {kind}, got real numbers, which have no phase"
+    return f'{text}; for samples over time, give data_kind = "samples"{rate}'
 
 
 def dead_channels(Y: Complex[ndarray, "m t"]) -> list[int]:

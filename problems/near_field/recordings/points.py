@@ -27,7 +27,7 @@ def read_points(path: str) -> Float[ndarray, "p 3"]:
         try:
             points, _ = parsed(Path(path).read_text(encoding="utf-8-sig"), None, MOST)
         except (OSError, ValueError, TypeError) as error:
-            raise ValueError(f"{name}: expected rows of three numbers, but reading it failed: {error}") from error
+            raise ValueError(f"{name}: expected rows of coordinates, but reading it failed: {error}") from error
     else:
         points = read_array(path).array
     if points.ndim != 2 or points.shape[1] != 3 or np.iscomplexobj(points) or not np.isfinite(points).all():

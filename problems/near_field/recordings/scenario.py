@@ -14,9 +14,21 @@ from numpy import ndarray
 from nfbench import FilePath, Ge, Instance, Le, Lt, OptionError
 
 from ..bands import Band
+from ..diagnosis import Reading
+from .blocks import block_problem, default_block, longest_delay
+from .elements import elements_text, leave_out
 from .files import read_array
 from .instance import RecordedInstance
-from .measurement import covariance_factor, dead_channels, normalized, oriented, spectral_snapshots
+from .measurement import (
+    COMPLEX,
+    covariance_factor,
+    dead_channels,
+    normalized,
+    oriented,
+    refuse_covariance,
+    spectral_snapshots,
+    without_phase,
+)
 from .points import read_points
 from .setting import Finite, Measured, Positive
 
@@ -25,10 +37,10 @@ __all__ = ["Recorded"]
 _Point: TypeAlias = tuple[Finite, Finite, Finite]
 
 MAX_NUMBERS = 10**8  # in the snapshots, 1.6 GB
-BLOCK, WINDOW, OVERLAP = 256, "hann", 0.5
+WINDOW, OVERLAP = "hann", 0.5
 TIME_OPTIONS = {
     "sample_rate_hz": None,
-    "block": BLOCK,
+    "block": None,
     "window": WINDOW,
     "overlap": OVERLAP,
     "further_frequencies_hz": (),
@@ -36,10 +48,11 @@ TIME_OPTIONS = {
 
 
 class _Data(NamedTuple):
-    """Snapshots (M, T), and sentences that say how they were read."""
+    """Snapshots (M, T), sentences that say how they were read, and what warnings about them depend on."""
 
     Y: Complex[ndarray, "m t"]
     notes: tuple[str, ...]
+    reading: Reading
 
 
 @final
@@ -60,12 +73,14 @@ class Recorded(Measured):
     snapshots: number of snapshots from which the covariance was estimated, on which the standard errors depend; only
         for "covariance". None: the number of elements.
     sample_rate_hz: sampling rate [Hz]; only for "samples". None: that of a .wav file.
-    block: samples per snapshot; only for "samples".
+    block: samples per snapshot; only for "samples". None: a power of two, at least 256 and, if that leaves as
+        many snapshots as elements in each segment, at least 32 times the longest delay across the array.
     window: window of each block, a name that scipy.signal.get_window knows, such as "hann"; only for "samples".
     overlap: share of a block that the next one repeats; only for "samples".
     further_frequencies_hz: frequencies [Hz] besides ``frequency_hz`` whose snapshots are fitted together with its own;
         only for "samples".
-    segments: number of parts of equal length into which the snapshots are divided; scene s uses part s.
+    segments: number of parts of equal length into which the snapshots are divided; scene s uses part s, so that a
+        study has at most as many scenes.
     array: table that describes the antenna array.
     failed: elements to leave out, by their numbers from 0 or their names.
     conjugate: whether to conjugate the data, for data whose phases grow with the distance.
@@ -99,7 +114,7 @@ class Recorded(Measured):
     element_axis: Annotated[int, Ge(0), Le(1)] | None = None
     snapshots: Annotated[int, Ge(1), Le(MAX_NUMBERS)] | None = None
     sample_rate_hz: Positive | None = None
-    block: Annotated[int, Ge(4), Le(2**24)] = BLOCK
+    block: Annotated[int, Ge(4), Le(2**24)] | None = None
     window: str = WINDOW
     overlap: Annotated[float, Ge(0.0), Lt(1.0)] = OVERLAP
     further_frequencies_hz: tuple[Positive, ...] = ()
@@ -131,13 +146,25 @@ class Recorded(Measured):
     def ranked_by(self) -> str:
         return self.error if self.truth_m is not None else "misfit"
 
+    def most_scenes(self) -> tuple[int, str]:
+        if self.data_kind == "covariance":
+            return 1, "as a covariance has no parts"
+        return self.segments, "one per segment of the recording; raise segments"
+
     def warnings(self) -> list[str]:
         theta, dead = self._theta(), dead_channels(self._data.Y)
         found = super().warnings() + ([] if theta is None else self.outside("truth_m", theta))
+        if theta is not None and len(theta) != self.sources:
+            text = (
+                f"truth_m: expected the positions of all {self.sources} sources, got {len(theta)}: the errors are those"
+            )
+            found.append(
+                f"{text} of the nearest pairs and may be too small; only gospa_m counts the sources without a pair"
+            )
         if dead:
-            listed = ", ".join(str(self.working[m]) for m in dead)
-            text = f"data: elements {listed} (counted from 0) are at least 40 dB weaker than the median"
-            found.append(f"{text}; leave them out: failed = [{listed}]")
+            numbers = [self.working[m] for m in dead]
+            text = f"data: {elements_text(numbers, self.array.element_names)} {'is' if len(dead) == 1 else 'are'}"
+            found.append(f"{text} at least 40 dB weaker than the median; {leave_out(numbers)}")
         return found
 
     def draw(self, rng: np.random.Generator) -> RecordedInstance:
@@ -166,6 +193,7 @@ class Recorded(Measured):
             gains=self._gains(),
             noise_covariance=None if noise is None else noise / deviation**2,
             notes=data.notes,
+            reading=replace(data.reading, transposed=None if self.segments > 1 else data.reading.transposed),
             further=tuple(
                 Band(normalized(band.Y[:, segment], self.sources)[0], band.manifold) for band in self._further
             ),
@@ -242,27 +270,41 @@ class Recorded(Measured):
         """Return the snapshots at a frequency of the elements that are used. Raises ValueError."""
         X, rate_hz = read_array(self.data, self.variable, self.array.count)
         X, axis = oriented(X, self.array.count, self.element_axis)
-        notes = [f"axis {axis} of the data, {X.shape[0]} long, is that of the elements"]
+        if not X.shape[1]:
+            raise ValueError(f"expected at least one {self.data_kind.removesuffix('s')}, got none: shape {X.shape}")
+        both = X.shape[0] == X.shape[1] and self.data_kind != "covariance"
+        other = f"; both are as long, and element_axis = {1 - axis} (--element-axis {1 - axis}) takes the other" * both
+        notes = [f"axis {axis} of the data, {X.shape[0]} long, is that of the elements{other}"]
+        reading, working = Reading(elements=self._element_names()), self.working
         if self.data_kind == "samples":
-            Y, note = self._transformed(X, rate_hz, frequency_hz)
+            Y, note, problem = self._transformed(X, rate_hz, frequency_hz)
             notes.append(note)
+            reading = replace(reading, short_blocks=problem)
         elif not np.iscomplexobj(X) or (X.any() and not X.imag.any()):
-            text = f"expected complex {self.data_kind}, got real numbers, which have no phase"
-            raise ValueError(f'{text}; for samples over time, give data_kind = "samples" and sample_rate_hz')
+            raise ValueError(without_phase(self.data_kind, rate_hz))
         elif self.data_kind == "covariance":
             Y, note = self._factored(X)
             notes.append(note)
         else:
             Y = X.astype(np.complex128)
-        Y = Y[self.working]
+            if both:
+                refuse_covariance(Y)
+                flipped = Y.T[working]
+                reading = replace(reading, transposed=(flipped.conj() if self.conjugate else flipped, 1 - axis))
+        Y = Y[working]
         if not Y.any():
             raise ValueError("expected data other than 0, got zeros only; check which array is read (variable)")
-        return _Data(Y.conj() if self.conjugate else Y, tuple(notes))
+        return _Data(Y.conj() if self.conjugate else Y, tuple(notes), reading)
+
+    def _element_names(self) -> tuple[str, ...]:
+        """What the elements that are used are called in ``failed``."""
+        names = self.array.element_names
+        return tuple(names[m] if names else str(m) for m in self.working)
 
     def _transformed(
         self, x: Shaped[ndarray, "m n"], stated_hz: float | None, frequency_hz: float | None
-    ) -> tuple[Complex[ndarray, "m t"], str]:
-        """Return the snapshots at a frequency, and a sentence about them."""
+    ) -> tuple[Complex[ndarray, "m t"], str, tuple[str, bool] | None]:
+        """Return the snapshots at a frequency, a sentence about them, and what is wrong with the blocks."""
         rate = self.sample_rate_hz or stated_hz
         if frequency_hz is None:
             raise self._error("frequency_hz", "is required for samples over time, with speed_m_s: the frequency [Hz]")
@@ -270,15 +312,21 @@ class Recorded(Measured):
             raise self._error("sample_rate_hz", "is required for samples over time: the sampling rate [Hz]")
         if stated_hz is not None and not math.isclose(rate, stated_hz, rel_tol=1e-6):
             raise self._error("sample_rate_hz", f"expected {stated_hz:g}, as in the file, got {rate:g}")
+        Q, M, N = self.array.place(self.wavelength)[self.working], self.array.count, x.shape[1]
+        delay = longest_delay(Q, self.wavelength * (self.frequency_hz or frequency_hz), rate)
+        block = self.block or default_block(delay, N, self.overlap, M * self.segments)
         try:
-            Y = spectral_snapshots(x, rate, frequency_hz, self.block, self.window, self.overlap)
+            Y = spectral_snapshots(x, rate, frequency_hz, block, self.window, self.overlap)
         except ValueError as error:
             name, _, text = str(error).partition(": ")  # the option that is wrong
+            if np.iscomplexobj(x):
+                text = f"{text}; {COMPLEX}"
             if name == "frequency_hz" and frequency_hz != self.frequency_hz:
                 name = "further_frequencies_hz"
             raise self._error(name, text) from error
-        text = f"{Y.shape[1]} snapshots at {frequency_hz:g} Hz from blocks of {self.block} samples"
-        return Y, f"{text}: bin {frequency_hz / rate * self.block:.4g} of {rate / self.block:g} Hz"
+        text = f"{Y.shape[1]} snapshots at {frequency_hz:g} Hz from blocks of {block} samples"
+        text = f"{text}: bin {frequency_hz / rate * block:.4g} of {rate / block:g} Hz"
+        return Y, f"{text}; {COMPLEX}" if np.iscomplexobj(x) else text, block_problem(block, delay, N)
 
     def _factored(self, R: Complex[ndarray, "m m"]) -> tuple[Complex[ndarray, "m t"], str]:
         """Return data with this covariance, and a sentence about the number of snapshots."""

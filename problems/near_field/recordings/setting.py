@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from nfbench import Ge, Gt, Le, Lt, OptionError, Scenario
+from nfbench import Ge, Gt, Le, Lt, OptionError, Scenario, nearest
 
 from ..arrays import AnyArray, unusual
 from ..carrier import Frequency, Speed, Wavelength, carrier_problems, carrier_wavelength
@@ -21,12 +21,15 @@ from ..geometry import Frame, azimuth_near
 from ..objectives import kernels
 from ..wavefronts import Manifold, Wavefront
 from .files import content_hash
+from .likeness import unlike
 from .measurement import spherical
 
 __all__ = ["Finite", "Measured", "Positive"]
 
 Finite: TypeAlias = Annotated[float, Gt(-math.inf), Lt(math.inf)]
 Positive: TypeAlias = Annotated[float, Gt(0.0), Lt(math.inf)]
+
+FAR = 20.0  # factor by which points must lie beyond the box to be suspected of another unit
 
 T = TypeVar("T")
 
@@ -120,14 +123,34 @@ class Measured(Scenario, ABC):
 
     def sources_at(self, points: Float[ndarray, "k 3"]) -> Float[ndarray, "k d"]:
         """Return sources [rad, m] at points [m] given in the coordinates of the array. Raises ValueError."""
+        self._refuse_other_unit(points)
         theta = spherical(self.frame.inward(points), self.elevation_deg is not None)
         middle = math.radians(sum(self.azimuth_deg) / 2)
         theta[:, 0] = azimuth_near(theta[:, 0], middle)
         return theta
 
+    def _refuse_other_unit(self, points: Float[ndarray, "k 3"]) -> None:
+        """Raise ValueError if points are far beyond the box, but not in millimetres or centimetres."""
+        (low, high), r = self.range_m, np.linalg.norm(self.frame.inward(points), axis=1)
+        if not len(r) or r.min() < FAR * high:
+            return
+        fits = []
+        for unit, name, factor in (("mm", "millimetres", 1000), ("cm", "centimetres", 100)):
+            inside = np.linalg.norm(self.frame.inward(points / factor), axis=1)
+            if ((inside >= low / 2) & (inside <= 2 * high)).all():
+                fits.append((unit, name))
+        if fits:
+            names = " or ".join(name for _, name in fits)
+            columns = " or ".join(f"x_{unit}, y_{unit}, z_{unit}" for unit, _ in fits)
+            text = f"expected points [m] near the box, which ends at {high:g} m, got one {r.min():.4g} m away"
+            raise ValueError(f"{text}: are these {names}? If they are in a file, name its columns {columns}")
+
     def warnings(self) -> list[str]:
         low, high = np.array(self.azimuth_deg) - 360 * round(sum(self.azimuth_deg) / 720)
         return list(unusual(self.array, self.wavelength, faces_forward=bool(low >= -90 and high <= 90)))
+
+    def differences(self, other: Scenario) -> list[str]:
+        return unlike(self, other)
 
     def outside(self, name: str, theta: Float[ndarray, "k d"]) -> list[str]:
         """Return a sentence if sources lie outside the box, where no method can find them."""
@@ -164,8 +187,9 @@ class Measured(Scenario, ABC):
         names, M, problems = self.array.element_names, self.array.count, []
         for i, which in enumerate(self.failed):
             if isinstance(which, str) and which not in names:
-                known = ", ".join(names[:12]) or "none"
-                text = f"expected a number or the name of an element, got {which!r}; names: {known}"
+                near = nearest(which, names)
+                hint = f'did you mean "{near}"?' if near else f"names: {', '.join(names[:12]) or 'none'}"
+                text = f"expected a number or the name of an element, got {which!r}; {hint}"
                 problems.append((f"failed[{i}]", text))
             elif isinstance(which, int) and which >= M:
                 problems.append((f"failed[{i}]", f"expected the number of an element, 0 to {M - 1}, got {which}"))

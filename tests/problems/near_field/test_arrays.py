@@ -89,8 +89,8 @@ def test_a_file_is_replaced_by_its_positions(tmp_path, suffix):
         ("0,0,0\n", r"file elements.csv: expected at least 2 rows of x, y, z, got an array of shape \(1, 3\)"),
         ("", "expected at least 2 rows"),
         ("0,0\n0,1\n", r"shape \(2, 2\)"),
-        ("0,0,0\n0,1\n", "expected rows of three numbers"),
-        ("a,b,c\n0,0,0\n0,1,0\n", "expected rows of three numbers, but reading it failed: the header names no coord"),
+        ("0,0,0\n0,1\n", "expected rows of coordinates"),
+        ("a,b,c\n0,0,0\n0,1,0\n", "expected rows of coordinates, but reading it failed: the header names no coord"),
         ("0,0,0\n0,nan,0\n", "expected finite positions, got .*nan.* in row 1"),
         ("0,0,0\n0,1,0\n0,inf,0\n", "expected finite positions, got .*inf.* in row 2"),
         ("0,1,0\n0,2,0\n0,1,0\n", "expected distinct positions"),
@@ -106,7 +106,7 @@ def test_an_invalid_file_is_refused_with_the_reason(tmp_path, content, complaint
 def test_a_pickle_is_not_loaded(tmp_path):
     path = tmp_path / "elements.npy"
     np.save(path, np.array([[0, 0, 0], [0, 1, 0]], dtype=object), allow_pickle=True)
-    with pytest.raises(OptionError, match="expected rows of three numbers"):
+    with pytest.raises(OptionError, match="expected rows of coordinates"):
         Custom(origin="first", file=str(path))
 
 
@@ -176,7 +176,7 @@ def test_a_file_that_promises_more_than_it_holds_is_refused(tmp_path):
     with path.open("wb") as file:
         np.lib.format.write_array_header_1_0(file, {"descr": "<f8", "fortran_order": False, "shape": (10**12, 3)})
         file.write(b"\0" * 48)
-    with pytest.raises(OptionError, match=r"file elements.npy: expected rows of three numbers, but reading it failed"):
+    with pytest.raises(OptionError, match=r"file elements.npy: expected rows of coordinates, but reading it failed"):
         Custom(origin="first", file=str(path))
 
 

@@ -75,16 +75,19 @@ def test_usual_input_has_no_warnings(name):
 UNUSUAL = {
     "millimetres": (
         {"array": plane(1, 2, scale=1000.0), "elevation_deg": [-30, 30]},
-        "array: its 64 elements extend over 98.99 m, 4,950 wavelengths of 0.02 m, and are at least 10 m apart, 500 "
-        "wavelengths; half a wavelength is usual; positions are in metres: are these millimetres?",
+        "array: its 64 elements have an aperture of 98.99 m, 4,950 wavelengths of 0.02 m, and are at least 10 m apart, "
+        "500 wavelengths; half a wavelength is usual; positions are in metres: are these millimetres?",
     ),
     "centimetres": ({"array": plane(1, 2, scale=100.0), "elevation_deg": [-30, 30]}, "1 m apart, 50 wavelengths"),
     "a wide spacing": ({"array": ULA | {"spacing_wavelengths": 5.0}}, "0.1 m apart, 5 wavelengths; half a wavelength"),
     "an extent over 1,000 wavelengths": (
         {"array": ULA | {"elements": 3000, "spacing_wavelengths": 0.5}},
-        "array: its 3000 elements extend over 29.99 m, 1,500 wavelengths",
+        "array: its 3000 elements have an aperture of 29.99 m, 1,500 wavelengths",
     ),
-    "a tiny array": ({"array": plane(1, 2, scale=1e-3), **NEAR}, "array: its 64 elements extend over 9.899e-05 m"),
+    "a tiny array": (
+        {"array": plane(1, 2, scale=1e-3), **NEAR},
+        "array: its 64 elements have an aperture of 9.899e-05 m",
+    ),
     "in the x-y plane": (
         {"array": plane(0, 1), "elevation_deg": [5, 30], **NEAR},
         "array: its elements lie in a plane that contains the x axis, from which azimuths are measured and which is "
@@ -249,3 +252,12 @@ def test_warnings_of_the_largest_array_take_little_time():
     start = time.process_time()
     assert vast.warnings() and GridRefine().warnings(vast) and Music().warnings(vast)
     assert time.process_time() - start < 5
+
+
+@pytest.mark.parametrize(("header", "hint"), [("x,y,z", True), ("x_cm,y_cm,z_cm", False)])
+def test_millimetres_are_suspected_only_where_no_unit_is_stated(tmp_path, header, hint):
+    path = tmp_path / "q.csv"
+    path.write_text(f"{header}\n" + "\n".join(f"0,{5e4 * m},{5e4 * (m % 3)}" for m in range(9)))
+    (text, *_) = warnings(array={"kind": "custom", "origin": "center", "file": str(path)})
+    assert ("are these millimetres?" in text) == hint
+    assert "check the frequency [Hz], --frequency-hz, and the speed [m/s], --speed" in text

@@ -165,7 +165,7 @@ def test_an_array_of_three_elements_has_one_row_per_element(tmp_path):
         ("name,x,y,z\na,0,0,0\na,0,1,0\n", None, "expected a different name for each element, got 'a' twice"),
         ("name,x,y,z\na,0,0,0\n,0,1,0\n", None, "expected names of 1 to 100 printable characters, got ''"),
         ("x_mm,y_mm,z_mm\n0,0,0\n0,inf,0\n", None, "expected finite positions, got .*inf.* in row 1"),
-        ('"0,0,0\n0,1,0\n0,2,0\n', None, "reading it failed"),
+        ('"0,0,0\n0,1,0\n0,2,0\n', None, "expected rows of coordinates, but reading it failed"),
         ("\0\0\0", None, "expected"),
     ],
 )

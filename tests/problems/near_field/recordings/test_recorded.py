@@ -131,8 +131,9 @@ def test_methods_are_ranked_by_the_misfit_where_the_truth_is_not_known(recorded)
     assert set(scores) == {"misfit", "misfit_limit", "sources_found"}
     assert draw(without).truth() is None
     truth, found = draw(without).positions(np.array([[0.0, 0.0, 1.0]]))  # all estimates are without a source
-    assert truth.shape == (0, 3)
-    np.testing.assert_allclose(found, [[1.0, 0.0, 0.0]], atol=1e-15)
+    assert truth.shape == (0, 6)
+    np.testing.assert_allclose(found[:, :3], without.frame.outward(np.array([[1.0, 0.0, 0.0]])), atol=1e-15)
+    np.testing.assert_allclose(found[:, 3:], [[0.0, 0.0, 1.0]], atol=1e-15)
 
 
 def test_the_scenario_passes_the_checks_of_scenarios(recorded):
@@ -249,7 +250,7 @@ def test_dead_channels_and_sources_outside_the_box_are_warned_of(recorded):
     weak = Y.copy()
     weak[5] *= 1e-3
     (text,) = recorded(weak).warnings()
-    assert "elements 5 (counted from 0) are at least 40 dB weaker" in text and "failed = [5]" in text
+    assert "element 5, counted from 0, is at least 40 dB weaker" in text and "failed = [5]" in text
     assert dead_channels(np.array([[1.0 + 0j], [0.0], [0.011], [0.009], [1.0], [1.0], [1.0]])) == [1, 3]
     (text,) = recorded(truth_m=TRUTH.tolist(), range_m=(0.3, 0.53)).warnings()
     assert text.startswith("truth_m: true sources 0 (counted from 0) are outside the box")

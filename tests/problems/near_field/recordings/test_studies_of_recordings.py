@@ -10,10 +10,11 @@ from conftest import PROJECT
 from simulated import POSITIONS, TRUTH, responses, snapshots
 
 import nfbench
-from nfbench import ManifestError
+from nfbench import ManifestError, NfbenchError
 from nfbench.figures import write_figures
 from nfbench.results import export_csv
 from nfbench.study import scene_numbers
+from nfbench.tuning import Plan, tune
 
 MANIFEST = """
 name = "recorded"
@@ -97,6 +98,32 @@ def test_scene_s_of_a_study_is_part_s_of_the_recording(folder):
         own = alone.query("formulation == 'grid-refine'").iloc[0]
         assert runs.loc[scene, "rmse_m"] == pytest.approx(own["rmse_m"], rel=1e-9)
     assert runs["rmse_m"].nunique() == 4
+
+
+def test_a_study_cannot_count_the_same_part_of_a_recording_twice(folder):
+    for text, why in (
+        (MANIFEST.replace("scenes = 4", "scenes = 5"), "expected at most 4, one per segment .*; raise segments, got 5"),
+        (MANIFEST.replace("segments = 4", ""), "expected at most 1, one per segment .*; raise segments, got 4"),
+        (
+            MANIFEST.replace("segments = 4", "").replace("TRUTH", "TRUTH\n[sweep]\nsegments = [4, 3]\n"),
+            "at most 3, one",
+        ),
+    ):
+        with pytest.raises(ManifestError) as caught:
+            study_of(folder, text)
+        assert any(re.match(f"scenes: .*{why}", line) for line in caught.value.problems), caught.value.problems
+    Y = np.load(folder / "data.npy")
+    np.save(folder / "data.npy", Y @ Y.conj().T)
+    with pytest.raises(ManifestError, match="scenes: expected at most 1, as a covariance has no parts, got 4"):
+        study_of(folder, MANIFEST.replace("segments = 4", 'data_kind = "covariance"'))
+
+
+def test_tuning_needs_other_scenes_for_training_than_the_study_has(folder):
+    pytest.importorskip("optuna")
+    study = study_of(folder, MANIFEST.replace("segments = 4", "segments = 6"))
+    plan = Plan("de", training=3, held_out=4, trials=1)
+    with pytest.raises(NfbenchError, match=r"at most 6 scenes together, one per segment .* got 7"):
+        tune(study, plan, folder / "tuned")
 
 
 def test_figures_of_positions_redraw_the_scene_with_its_number(folder, monkeypatch):
