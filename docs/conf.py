@@ -80,7 +80,12 @@ nitpick_ignore_regex = [
     ),
     (r"py:.*", r"(int|float|str|bool|bytes|dict|list|tuple|set|type|object|None|optional|PluginOption|final|inf)"),
     (r"py:class", r"[a-z] [a-z]|[a-z*]+ \w+|'.*'|\d.*|T|_F|F|.*\.T"),  # shapes and type variables
-    (r"py:class", r"nfbench\.core\.options\.Annotated.*"),
+    (r"py:class", r"nfbench\.core\.options\.Annotated.*|Annotated\[.*"),
+    (  # types of options and of arrays
+        r"py:class",
+        r"_?(Finite|Positive|Points?|Decibels|Wavelength|Wavefront|Speed|Shaped|MAX_NUMBERS|Frequency|AnyArray|Axis)",
+    ),
+    (r"py:class", r"nfbench\.problems\.near_field\.(search\.general\.State|calibration\.Knowledge)"),
     # base classes and records that are private to a package
     (r"py:.*", r"nfbench\.(core|plugins|study|analysis|results|execution|figures|testing)\.\w+\.\w+"),
     (r"py:.*", r"nfbench\.(solvers|problems)\.(\w+\.)*_\w+(\.\w+)?"),
