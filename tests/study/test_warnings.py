@@ -11,12 +11,17 @@ from conftest import BASIC, PROJECT, nfbench
 from nfbench import Formulation, Scenario, load_study
 
 STUDIES = sorted((PROJECT / "studies").rglob("*.toml"))
+DATA = PROJECT / ".." / "shared" / "data"  # of the studies of measured data
 
 
 @pytest.mark.parametrize("path", STUDIES, ids=lambda path: path.stem)
-def test_the_studies_have_no_warnings(path):
+def test_the_studies_have_no_warnings(path, monkeypatch):
     if path.stem == "bbob" and not importlib.util.find_spec("cocoex"):
         pytest.skip("needs COCO")
+    if path.stem in ("measured", "recorded"):
+        if not DATA.is_dir():
+            pytest.skip(f"the measured data are not in {DATA}")
+        monkeypatch.setenv("NFBENCH_DATA", str(DATA))
     missing = "which is not installed here"  # of an optional library in a group
     assert [text for text in load_study(path).warnings if missing not in text] == []
 
