@@ -91,9 +91,6 @@ def test_known_gains_and_noise_are_used(recording, tmp_path):
     np.save(tmp_path / "g.npy", gains)
     blind = nfbench.localize(gains[:, None] * Y, Q, **TWO)
     assert blind.warnings[0].startswith("the model does not fit")
-    formulation = nfbench.procedure("grid-refine").formulation
-    if not hasattr(formulation, "known_gains"):
-        pytest.skip("no formulation has the option known_gains")
     known = nfbench.localize(gains[:, None] * Y, Q, gains_file=str(tmp_path / "g.npy"), **TWO)
     assert places(known) == pytest.approx(places(nfbench.localize(Y, Q, **TWO)), abs=2e-3)
 

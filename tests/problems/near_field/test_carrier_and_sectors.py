@@ -221,7 +221,7 @@ def test_estimators_are_as_accurate_across_180_degrees_as_in_front(across):
 
 
 def test_modified_music_sees_the_largest_sine_of_the_sector():
-    """In front of the line or behind it, sin φ reaches sin 30°, so that the spacing may be up to λ/2."""
+    """Within 30° of the broadside, on either side of the line, |sin φ| <= 1/2, so the spacing may be up to λ/2."""
     table = {"kind": "ula", "elements": 24, "spacing_wavelengths": 0.45, "origin": "center"}
     behind = draw(array=table, azimuth_deg=[155, 205], range_m=[0.5, 2.0], seed=2, min_separation_deg=15.0)
     estimate = ModifiedMusic(grid=Grid(azimuth=1000, range=500)).solve(behind, None)
