@@ -22,14 +22,24 @@ class ScratchFolder:
 
     def __init__(self) -> None:
         _remove_abandoned(Path(tempfile.gettempdir()))
-        self.path = Path(tempfile.mkdtemp(prefix=PREFIX))
-        self._lock = FileLock(self.path / LOCK, timeout=0)
-        self._lock.acquire()
+        self.path, self._lock = _locked_folder()
 
     def cleanup(self) -> None:
         """Remove the folder."""
         self._lock.release()
         shutil.rmtree(self.path, ignore_errors=True)
+
+
+def _locked_folder() -> tuple[Path, FileLock]:
+    """A new folder and its lock; another one if a process that cleans up has taken it before it was locked."""
+    while True:
+        path = Path(tempfile.mkdtemp(prefix=PREFIX))
+        lock = FileLock(path / LOCK, timeout=0)
+        with contextlib.suppress(Timeout, FileNotFoundError):
+            lock.acquire()
+            if (path / LOCK).is_file():
+                return path, lock
+            lock.release()
 
 
 def _remove_abandoned(parent: Path) -> None:

@@ -1,6 +1,8 @@
 """Tests that what a plugin does costs its own rows and no others, and leaves nothing behind."""
 
+import fcntl
 import os
+import shutil
 import sqlite3
 import subprocess
 import sys
@@ -14,6 +16,7 @@ from conftest import BASIC, PLUGINS, nfbench
 
 import nfbench as library
 from nfbench import load_study
+from nfbench.execution import scratch
 from nfbench.execution.scratch import PREFIX, ScratchFolder, _remove_abandoned
 from nfbench.plugins.containment import Containment
 
@@ -228,6 +231,30 @@ def test_what_a_killed_process_left_in_the_temporary_folder_is_removed(tmp_path,
     assert mine.path.is_dir()
     mine.cleanup()
     assert not list(tmp_path.iterdir())
+
+
+def test_two_pools_that_start_at_once_do_not_disturb_each_other(tmp_path, monkeypatch):
+    """Between creating a folder and locking it, another process may lock it as abandoned and remove it."""
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    acquire, tries = scratch.FileLock.acquire, []
+
+    def late(lock):
+        tries.append(Path(lock.lock_file))
+        if len(tries) == 1:  # the other process holds the lock
+            with tries[0].open("w") as file:
+                fcntl.flock(file, fcntl.LOCK_EX)
+                return acquire(lock)
+        if len(tries) == 2:  # it has removed the folder
+            shutil.rmtree(tries[1].parent)
+        return acquire(lock)
+
+    monkeypatch.setattr(scratch.FileLock, "acquire", late)
+    mine = ScratchFolder()
+    assert mine.path.is_dir() and len(tries) >= 2
+    monkeypatch.undo()
+    with pytest.raises(scratch.Timeout), scratch.FileLock(mine.path / scratch.LOCK, timeout=0):
+        pass  # it is locked
+    mine.cleanup()
 
 
 def test_containment_names_what_has_changed(monkeypatch, tmp_path):
