@@ -17,6 +17,7 @@ from matplotlib.figure import Figure
 
 from nfbench.core import NfbenchError
 from nfbench.results import Results
+from nfbench.study import read_labels
 
 from .array import write_array_figure
 from .attainment import attainment_figure
@@ -91,7 +92,7 @@ def figures(
 
 
 def _figures(results: Results, how: Drawing, warn: Callable[[str], object]) -> Iterator[tuple[str, Figure]]:
-    study = drawn(results, how.title, how.methods)
+    study = drawn(results, how.title, how.methods, read_labels(how.manifest or results.folder / "manifest.toml"))
     left = results.counts.get("open", 0)
     if left:
         done = len(study.runs)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from .axis_labels import read_labels
 from .claims import Claim, Compare, Names, claim_of
 from .manifest import load_methods, load_scenarios, load_study, scene_numbers
 from .plan import Study, scene_seed
@@ -27,6 +28,7 @@ __all__ = [
     "load_methods",
     "load_scenarios",
     "load_study",
+    "read_labels",
     "scene_numbers",
     "scene_seed",
     "swept_column",
