@@ -6,6 +6,7 @@ Nothing in this package depends on studies, results or processes.
 from __future__ import annotations
 
 from .budget import Budget, TargetOption, TargetTable
+from .cut import Cut, Plane
 from .errors import (
     BudgetExhausted,
     Incompatible,
@@ -55,6 +56,7 @@ __all__ = [
     "AskTellSolver",
     "Budget",
     "BudgetExhausted",
+    "Cut",
     "Extra",
     "FilePath",
     "Formulation",
@@ -76,6 +78,7 @@ __all__ = [
     "OptionError",
     "Options",
     "Picture",
+    "Plane",
     "PluginError",
     "PluginOption",
     "Problem",

@@ -27,11 +27,14 @@ from .distribution import distribution_figure
 from .drawing import KINDS, Drawing, Kind, NotDrawnError
 from .error import error_figures
 from .expected_cost import ert_figure
+from .geometry import geometry_figures
 from .labels import name_of, setting, text_of
+from .landscape import landscape_figures
 from .localization import localization_figure, write_localization_figure
 from .positions import few_enough, position_figures
 from .ranks import ranks_figure
 from .runtime import runtime_figure
+from .scene import scene_figures
 from .style import styled
 from .tradeoff import spread_of_costs, tradeoff_figure
 
@@ -69,6 +72,13 @@ _SINGLE: dict[Kind, Callable[[Drawn, Drawing], Figure]] = {
 }
 
 
+_OF_SCENES: dict[Kind, Callable[[Drawn, Results, Drawing], Iterator[tuple[str, Figure]]]] = {
+    "geometry": geometry_figures,
+    "scene": scene_figures,
+    "landscape": landscape_figures,
+}
+
+
 def figures(
     results: Results, how: Drawing | None = None, warn: Callable[[str], object] = lambda _: None
 ) -> Iterator[tuple[str, Figure]]:
@@ -79,7 +89,9 @@ def figures(
     warn: function that receives a sentence about anything that the figures leave out.
 
     Without ``only``, these are the figures that have something to show for this study, except for attainment and
-    convergence, which read all traces. Raises StoreError if there is no study, and NfbenchError if no run has an
+    convergence, which read all traces, and geometry, scene and landscape, which redraw scenes.
+
+    Raises StoreError if there is no study, and NfbenchError if no run has an
     estimate yet, or if a requested figure cannot be drawn.
     """
     seen: set[str] = set()
@@ -102,6 +114,11 @@ def _figures(results: Results, how: Drawing, warn: Callable[[str], object]) -> I
             yield from error_figures(study, how.width, how.metric)
         elif kind == "positions":
             yield from _positions(study, results, how, warn)
+        elif kind in _OF_SCENES:
+            try:
+                yield from _OF_SCENES[kind](study, results, how)
+            except NotDrawnError as reason:
+                raise NfbenchError(f"{results.folder}: {kind} cannot be drawn: {reason}") from reason
         else:
             try:
                 yield kind, _SINGLE[kind](study, how)
@@ -120,6 +137,7 @@ def _kinds(study: Drawn, how: Drawing) -> list[Kind]:
         "tradeoff": spread_of_costs(study),
         "attainment": False,
         "convergence": False,
+        **dict.fromkeys(_OF_SCENES, False),
         "positions": how.positions is None and few_enough(study),
     }
     return [kind for kind in KINDS if _requested(kind, how) or (not how.only and suits.get(kind, True))]

@@ -11,7 +11,7 @@ from nfbench.results import Evidence
 
 from .style import MANY
 
-__all__ = ["best_first", "highlighted", "listed"]
+__all__ = ["best_first", "by_mean_rank", "highlighted", "listed"]
 
 LISTED, BEST = 50, 30  # methods that all have a row, and the best ones of more
 FEW = 5  # methods in colour where there are too few scenes to rank
@@ -41,7 +41,7 @@ def highlighted(
         return list(methods)
     best = list(dict.fromkeys([*named, *best_first(evidence)]))[:MANY]
     seen = {_family(name, families) for name in best}
-    ranked = _by_mean_rank(evidence)
+    ranked = by_mean_rank(evidence)
     for name in ranked:
         if (family := _family(name, families)) not in seen:
             seen.add(family)
@@ -73,10 +73,10 @@ def best_first(evidence: Evidence) -> list[str]:
     found += [name for name, _ in often.most_common()]
     if found or not blocks:
         return found
-    return _by_mean_rank(evidence)[:FEW]
+    return by_mean_rank(evidence)[:FEW]
 
 
-def _by_mean_rank(evidence: Evidence) -> list[str]:
+def by_mean_rank(evidence: Evidence) -> list[str]:
     """All methods that have a rank, the smallest mean over the swept points first."""
     frame = evidence.ranking.frame
     if frame.empty:

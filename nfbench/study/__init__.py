@@ -5,7 +5,7 @@ from __future__ import annotations
 from .axis_labels import read_labels
 from .claims import Claim, Compare, Names, claim_of
 from .manifest import load_methods, load_scenarios, load_study, scene_numbers
-from .plan import Study, scene_seed
+from .plan import Study, scene_seed, seed_from
 from .reading import MANIFEST_FOLDER
 from .records import Method, PluginSpec, Point, RunRecord, RunSpec, swept_column
 from .resolve import ErrorCollector, Resolved, Resolver
@@ -31,5 +31,6 @@ __all__ = [
     "read_labels",
     "scene_numbers",
     "scene_seed",
+    "seed_from",
     "swept_column",
 ]

@@ -79,6 +79,8 @@ def describe_sources(
         sources=frame.outward(cartesian(theta)),
         covariances=covariances,
         truth=None if truth is None else frame.outward(cartesian(truth)),
+        distances=_distances(manifold),
+        origin=frame.origin,
     )
     notes = mirror_notes(theta, manifold, frame, lower, upper)
     is_other_unit = any(text.startswith(OTHER_UNIT) for text in diagnosis.warnings)
@@ -119,6 +121,13 @@ def _bound(
     inverse = solve_triangular(R, np.eye(n))
     C: ndarray = inverse @ inverse.T / (2 * snapshots)
     return C
+
+
+def _distances(manifold: Manifold) -> tuple[tuple[str, float], ...]:
+    """The Fresnel and the Fraunhofer distance 0.62·√(D³/λ) and 2D²/λ [m] of the diameter D of the array."""
+    Q, wavelength = manifold.positions, manifold.wavelength_m
+    D = 2 * float(np.linalg.norm(Q - Q.mean(axis=0), axis=1).max())
+    return ("Fresnel distance", 0.62 * math.sqrt(D**3 / wavelength)), ("Fraunhofer distance", 2 * D**2 / wavelength)
 
 
 def _inside(theta: Float[ndarray, "k d"], lower: Float[ndarray, " d"], upper: Float[ndarray, " d"]) -> ndarray:
