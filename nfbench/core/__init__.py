@@ -21,6 +21,7 @@ from .errors import (
     message_of,
 )
 from .formulation import Formulation, Minimize, Solution
+from .latex import latex_text
 from .localization import Localization, Picture
 from .meter import MeteredProblem
 from .minimization import budget_problem, budget_warning, common_start, minimize, start_problem
@@ -104,6 +105,7 @@ __all__ = [
     "die_with_parent",
     "end_group_at_eof",
     "explain",
+    "latex_text",
     "message_of",
     "minimize",
     "nearest",

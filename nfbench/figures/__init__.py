@@ -36,6 +36,7 @@ from .ranks import ranks_figure
 from .runtime import runtime_figure
 from .scene import scene_figures
 from .style import styled
+from .tex import tex_files
 from .tradeoff import spread_of_costs, tradeoff_figure
 
 __all__ = [
@@ -58,6 +59,7 @@ FORMATS: dict[str, dict[str, Any]] = {  # metadata; None drops what changes with
     "svg": {"Date": None, "Creator": "nfbench"},
     "pdf": {"CreationDate": None, "Creator": "nfbench"},
     "png": {"Software": None},
+    "tex": {},
 }
 
 
@@ -180,11 +182,19 @@ def write_figures(
         warnings.filterwarnings("ignore", message="Glyph .* missing from font")  # a label in another script
         for stem, figure in figures(results, how, warn):
             for kind in formats:
-                drawing = io.BytesIO()
-                figure.savefig(drawing, format=kind, metadata=FORMATS[kind])
                 paths.append(out / f"{stem}.{kind}")
-                _write(paths[-1], drawing.getvalue())
+                for name, content in _drawing(figure, stem, kind).items():
+                    _write(out / name, content)
     return paths
+
+
+def _drawing(figure: Figure, stem: str, kind: str) -> dict[str, bytes]:
+    """The files of a figure in one format, by name."""
+    if kind == "tex":
+        return tex_files(figure, stem)
+    drawing = io.BytesIO()
+    figure.savefig(drawing, format=kind, metadata=FORMATS[kind])
+    return {f"{stem}.{kind}": drawing.getvalue()}
 
 
 def _write(path: Path, content: bytes) -> None:

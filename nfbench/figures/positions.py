@@ -183,7 +183,7 @@ def _figure(part: Drawn, places: _Places, width: str) -> Figure:
     if part.where:
         figure.suptitle("\n".join(filter(None, [figure.get_suptitle(), named(part)])))
     shown, every = len(_shown(part)), len(part.methods)
-    legend_below(figure, handles, f"The {shown} methods of the best mean ranks, of {every}" if shown < every else "")
+    legend_below(figure, handles, f"The {shown} of {every} methods with the best mean ranks" if shown < every else "")
     return figure
 
 
