@@ -18,6 +18,7 @@ from . import (  # noqa: F401  # importing them registers the commands
     plugin_commands,
     results_commands,
     study_commands,
+    table_command,
     tune_command,
 )
 from .common import INTERRUPTED, USAGE, app
