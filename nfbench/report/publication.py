@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Literal, TypeAlias, get_args
 
 import pandas as pd
 
 from nfbench.core import NfbenchError, latex_text, nearest, printable
 from nfbench.results import Results, csv_frame
+from nfbench.study import read_labels
 
 from .terminal import number_text
 
@@ -50,6 +51,7 @@ HEADINGS = {
     "estimate": "Estimate",
     "p_holm": "p",
 }
+LABELLED = {"rmse_m": "rmse", "median_m": "median", "runtime_s": "runtime"}  # columns that [labels] can name
 SHARES = ("outlier_rate", "solved_share", "share")
 COUNTS = ("failed", "evaluations", "ert")
 
@@ -84,7 +86,8 @@ def publication_table(
         [*(_text(row[key]) for key in keys), *(_cell(row, name, intervals) for name in wanted)]
         for row in frame.to_dict("records")
     ]
-    heads = [_heading(key) for key in keys] + [_heading(name) for name in wanted]
+    labels = read_labels(results.folder / "manifest.toml")
+    heads = [_heading(name, labels) for name in (*keys, *wanted)]
     left = len(keys) if which != "claims" else 2
     bold = [bool(value) if value == value else False for value in best]
     title = results.meta["title"]
@@ -103,12 +106,15 @@ def _swept(frame: pd.DataFrame) -> list[str]:
     return [name for name in frame.columns if name.startswith(("scenario.", "budget."))]
 
 
-def _heading(name: str) -> str:
+def _heading(name: str, labels: Mapping[str, str]) -> str:
+    key = LABELLED.get(name, name.removeprefix("scenario."))
+    if key in labels:
+        return printable(labels[key], 400)
     if name in HEADINGS:
         return HEADINGS[name]
-    from nfbench.figures import name_of
+    from nfbench.figures import name_of  # it imports matplotlib
 
-    return name_of(name.removeprefix("scenario.")).replace(r"\$", "$")
+    return name_of(key).replace(r"\$", "$")
 
 
 def _text(value: Any) -> str:
