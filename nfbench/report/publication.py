@@ -89,7 +89,7 @@ def publication_table(
     labels = read_labels(results.folder / "manifest.toml")
     heads = [_heading(name, labels) for name in (*keys, *wanted)]
     left = len(keys) if which != "claims" else 2
-    bold = [bool(value) if value == value else False for value in best]
+    bold = [bool(value) if pd.notna(value) else False for value in best]
     title = results.meta["title"]
     return _latex(heads, rows, left, bold, title, which) if to == "latex" else _markdown(heads, rows, left, bold)
 
@@ -129,7 +129,7 @@ def _cell(row: dict[Any, Any], name: str, intervals: bool) -> str:
     if isinstance(value, str):
         return printable(value, 400)
     if name == "in_best_set":
-        return "yes" if value == value and bool(value) else "no"
+        return "–" if pd.isna(value) else "yes" if bool(value) else "no"
     text = _number(value, name)
     stem = INTERVALS.get(name, name)
     low, high = (row.get(f"{stem}_{end}" if stem else end, math.nan) for end in ("low", "high"))
