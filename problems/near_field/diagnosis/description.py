@@ -113,9 +113,10 @@ def _uncertainty(
 def _information(
     manifold: Manifold, theta: Float[ndarray, "k d"], P: Complex[ndarray, "k k"]
 ) -> tuple[Float[ndarray, "rows kd"], Float[ndarray, " kd"]]:
-    """Return the root J of the information JᵀJ of a snapshot, for signals of covariance P over the noise, and its error.
+    """Return J and its rounding errors, where JᵀJ is the information of a snapshot with signals of covariance P.
 
-    X = PAᴴR⁻¹AP with R = APAᴴ + I, as in ``bounds.stochastic_bound``, but for signals that may be correlated.
+    The noise has the power 1. X = PAᴴR⁻¹AP with R = APAᴴ + I, as in ``bounds.stochastic_bound``, but for signals that
+    may be correlated.
     """
     values, vectors = np.linalg.eigh(P)
     B = vectors * np.sqrt(np.maximum(values, 0.0))
