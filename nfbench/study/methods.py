@@ -198,22 +198,42 @@ def _refuse_duplicates(
                 errors.add(path, f"is the same as {first}")
 
 
+def _with_budget(plain: list[tuple[str, str, bool]]) -> set[str]:
+    """Return the paths whose labels name the budget: those with a label that an earlier path has.
+
+    All labels of a group name it then, also those of solvers that run with this budget only.
+
+    plain: path, label without the budget, and whether it may be extended, of every method.
+    """
+    owners: dict[str, str] = {}
+    return {path for path, label, is_open in plain if owners.setdefault(label, path) != path and is_open}
+
+
 def _labelled(pairs: list[_Pair], resolver: Resolver) -> list[Method]:
     """Return the methods with distinct labels."""
     errors = resolver.errors
     methods: list[Method] = []
     seen: dict[str, str] = {}
     labels: dict[str, str] = {}
-    for pair in pairs:
-        formulation = resolver.labelled("formulation", pair.formulation.spec)
-        solver = resolver.labelled("solver", pair.solver.spec) if pair.solver else None
+    parts = [
+        (
+            resolver.labelled("formulation", pair.formulation.spec),
+            resolver.labelled("solver", pair.solver.spec) if pair.solver else None,
+        )
+        for pair in pairs
+    ]
+    plain = [
+        pair.label or " + ".join(part.label for part in both if part) for pair, both in zip(pairs, parts, strict=True)
+    ]
+    limited = [not pair.label and bool(pair.solver and pair.limits.budget()) for pair in pairs]
+    with_budget = _with_budget([(pair.path, *rest) for pair, *rest in zip(pairs, plain, limited, strict=True)])
+    for pair, (formulation, solver), label, is_limited in zip(pairs, parts, plain, limited, strict=True):
         budget = pair.limits.budget() if solver else None
         first = seen.setdefault(digest([formulation.identity, solver and solver.identity, budget]), pair.path)
         if first != pair.path:
             errors.add(pair.path, f"is the same formulation, solver and budget as {first}")
             continue
-        label = pair.label or (f"{formulation.label} + {solver.label}" if solver else formulation.label)
-        if label in labels and not pair.label and budget:
+        if is_limited and budget and (label in labels or pair.path in with_budget):
             label += f" @{budget['evaluations'] or str(budget['seconds']) + 's'}"
         if labels.setdefault(label, pair.path) != pair.path:
             errors.add(
