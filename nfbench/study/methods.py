@@ -198,15 +198,24 @@ def _refuse_duplicates(
                 errors.add(path, f"is the same as {first}")
 
 
-def _with_budget(plain: list[tuple[str, str, bool]]) -> set[str]:
-    """Return the paths whose labels name the budget: those with a label that an earlier path has.
+def _plain_label(pair: _Pair, resolver: Resolver) -> str:
+    """Return the label of a method without its budget."""
+    if pair.label:
+        return pair.label
+    parts = [resolver.labelled("formulation", pair.formulation.spec).label]
+    if pair.solver:
+        parts.append(resolver.labelled("solver", pair.solver.spec).label)
+    return " + ".join(parts)
+
+
+def _paths_with_budget(pairs: list[_Pair], labels: list[str]) -> set[str]:
+    """Return the paths of methods whose labels name the budget: those with a label that an earlier path has.
 
     All labels of a group name it then, also those of solvers that run with this budget only.
-
-    plain: path, label without the budget, and whether it may be extended, of every method.
     """
     owners: dict[str, str] = {}
-    return {path for path, label, is_open in plain if owners.setdefault(label, path) != path and is_open}
+    named = [(pair, owners.setdefault(label, pair.path)) for pair, label in zip(pairs, labels, strict=True)]
+    return {pair.path for pair, owner in named if owner != pair.path and not pair.label}
 
 
 def _labelled(pairs: list[_Pair], resolver: Resolver) -> list[Method]:
@@ -215,25 +224,17 @@ def _labelled(pairs: list[_Pair], resolver: Resolver) -> list[Method]:
     methods: list[Method] = []
     seen: dict[str, str] = {}
     labels: dict[str, str] = {}
-    parts = [
-        (
-            resolver.labelled("formulation", pair.formulation.spec),
-            resolver.labelled("solver", pair.solver.spec) if pair.solver else None,
-        )
-        for pair in pairs
-    ]
-    plain = [
-        pair.label or " + ".join(part.label for part in both if part) for pair, both in zip(pairs, parts, strict=True)
-    ]
-    limited = [not pair.label and bool(pair.solver and pair.limits.budget()) for pair in pairs]
-    with_budget = _with_budget([(pair.path, *rest) for pair, *rest in zip(pairs, plain, limited, strict=True)])
-    for pair, (formulation, solver), label, is_limited in zip(pairs, parts, plain, limited, strict=True):
+    plain = [_plain_label(pair, resolver) for pair in pairs]
+    with_budget = _paths_with_budget(pairs, plain)
+    for pair, label in zip(pairs, plain, strict=True):
+        formulation = resolver.labelled("formulation", pair.formulation.spec)
+        solver = resolver.labelled("solver", pair.solver.spec) if pair.solver else None
         budget = pair.limits.budget() if solver else None
         first = seen.setdefault(digest([formulation.identity, solver and solver.identity, budget]), pair.path)
         if first != pair.path:
             errors.add(pair.path, f"is the same formulation, solver and budget as {first}")
             continue
-        if is_limited and budget and (label in labels or pair.path in with_budget):
+        if budget and not pair.label and (label in labels or pair.path in with_budget):
             label += f" @{budget['evaluations'] or str(budget['seconds']) + 's'}"
         if labels.setdefault(label, pair.path) != pair.path:
             errors.add(
