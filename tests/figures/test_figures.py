@@ -421,7 +421,7 @@ def test_wrong_use_is_exit_code_2_with_a_message(study, tmp_path, monkeypatch, c
     results = study(repetitions=2)
     for arguments, message in (
         (["nowhere"], "expected a results folder with runs.sqlite, found none"),
-        ([results.folder, "--format", "svg,eps"], "expected svg, pdf, png, got 'eps'"),
+        ([results.folder, "--format", "svg,eps"], "expected svg, pdf, png, tex, got 'eps'"),
         ([results.folder, "--width", "triple"], "'triple' is not one of"),
         ([results.folder, "--out", results.folder / "runs.csv"], "runs.csv"),
         ([results.folder, "--positions"], f"pass those that you trust with --plugin: {toy_plugin}"),
