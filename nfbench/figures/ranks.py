@@ -94,7 +94,8 @@ def _draw(ax: Axes, study: Drawn, table: pd.DataFrame, longest: int) -> None:
         colour = GREY if style.pale else style.colour
         if name not in together:
             ax.plot([rank, rank, high + margin], [0, row, row], color="0.8", linewidth=0.6, zorder=1)
-        ax.plot(rank, row, **_look(colour, inside), label=plain(name))
+        look = study.styles[name].points if name in together else _look(colour, inside)
+        ax.plot(rank, row, **look, label=plain(name))
     if best.any():
         ax.plot([ranks[best][0], ranks[best][-1]], [0, 0], color="black", linewidth=2.0, zorder=2)
         ax.plot(
@@ -108,7 +109,7 @@ def _draw(ax: Axes, study: Drawn, table: pd.DataFrame, longest: int) -> None:
             zorder=4,
         )
     ax.set_xlim(low - margin, high + margin)
-    ticks = MaxNLocator(nbins=9, integer=True).tick_values(low, high)
+    ticks = MaxNLocator(nbins=9 if high < 100 else 6, integer=True).tick_values(low, high)
     ax.set_xticks([tick for tick in ticks if low <= tick <= high])
     ax.set_ylim(0, count + 0.6)
     ax.yaxis.tick_right()
