@@ -53,8 +53,15 @@ class Plane(Problem):
     def __init__(self, problem: Problem, through: Float[ndarray, " n"], free: tuple[int, int]) -> None:
         self._problem, self._through, self._free = problem, through, list(free)
         self.lower, self.upper = problem.lower[self._free], problem.upper[self._free]
+        self.has_gradient = problem.has_gradient  # type: ignore[misc]  # of this plane, not of all
 
     def evaluate(self, X: Float[ndarray, "p 2"]) -> Float[ndarray, " p"]:
         full = np.tile(self._through, (len(X), 1))
         full[:, self._free] = X
         return self._problem.evaluate(full)
+
+    def value_and_gradient(self, x: Float[ndarray, " 2"]) -> tuple[float, Float[ndarray, " 2"]]:
+        full = np.array(self._through)
+        full[self._free] = x
+        value, gradient = self._problem.value_and_gradient(full)
+        return value, gradient[self._free]

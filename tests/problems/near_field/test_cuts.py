@@ -27,7 +27,12 @@ def test_a_cut_has_the_values_of_the_problem_that_is_minimized(kind, number):
     x = problem.lower + 0.3 * (problem.upper - problem.lower)
     full = np.array(cut.through)
     full[list(cut.free)] = x[list(cut.free)]
-    assert cut.plane().evaluate(x[None, list(cut.free)]) == pytest.approx(problem.evaluate(full[None]), rel=1e-9)
+    at = x[list(cut.free)]
+    assert cut.plane().evaluate(at[None]) == pytest.approx(problem.evaluate(full[None]), rel=1e-9)
+    value, gradient = cut.plane().value_and_gradient(at)
+    step = 1e-6 * (cut.plane().upper - cut.plane().lower)
+    slopes = [(cut.plane().value(at + e) - cut.plane().value(at - e)) / (2 * e.sum()) for e in np.diag(step)]
+    assert value == pytest.approx(cut.plane().value(at)) and gradient == pytest.approx(np.array(slopes), rel=1e-3)
 
 
 def test_esf_and_the_spectrum_are_lowest_near_the_truth():
