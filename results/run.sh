@@ -20,6 +20,7 @@ for study in runtime complexity; do make "paper/$study" "paper/$study" 1; done
 make optimizer_choice optimizer_choice "$jobs"
 make certified certified "$jobs"
 make relaxation relaxation "$jobs"
+nfbench landscape studies/landscape.toml --out results/landscape/landscape.csv --jobs "$jobs"
 for manifest in studies/paper/*.toml; do
     study=$(basename "$manifest" .toml)
     make "paper/$study" "paper/$study" "$jobs"
