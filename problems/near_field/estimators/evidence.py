@@ -23,7 +23,7 @@ GAIN = 1e-8  # of the evidence in a sweep, per snapshot, below which the refinem
 
 @final
 class Evidence:
-    """The powers γ of the points of a grid, whose evidence −ln|Σ| − tr(Σ⁻¹R̂), Σ = σ²I + AΓAᴴ, is increased step by step.
+    """The powers γ of the points of a grid, updated towards a maximum of −ln|Σ| − tr(Σ⁻¹R̂), Σ = σ²I + AΓAᴴ.
 
     L: factor of the sample covariance, R̂ = L·Lᴴ, shape (M, c).
     A: responses of the points, shape (M, P).
@@ -36,14 +36,14 @@ class Evidence:
 
     def __init__(self, L: Complex[ndarray, "m c"], A: Complex[ndarray, "m p"], sources: int, coherence: float) -> None:
         self._L, self._A, self._sources, self._same = L, A, sources, coherence**2
-        self._power = float(np.vdot(L, L).real) / len(L)  # of an element
+        self._power = float(np.vdot(L, L).real) / len(L) or 1.0  # of an element
         self._sizes = np.sum(A.real**2 + A.imag**2, axis=0)
         beams = np.sum(np.abs(A.conj().T @ L) ** 2, axis=1)  # a_pᴴR̂a_p
         self.kept: Int[ndarray, " n"] = np.flatnonzero(self._sizes > 0)
         self.gamma: Float[ndarray, " n"] = beams[self.kept] / self._sizes[self.kept] ** 2
         shares = self.gamma * self._sizes[self.kept]
         self.gamma *= float(np.vdot(L, L).real) / max(float(shares.sum()), np.finfo(float).tiny)
-        self.noise = max(0.1 * self._power, np.finfo(float).tiny)
+        self.noise = 0.1 * self._power
         self.peaks: Int[ndarray, " k"] = np.argsort(-self.gamma, kind="stable")[:sources]
 
     def update(self, prune: float) -> float:
@@ -59,7 +59,7 @@ class Evidence:
         Q = np.linalg.qr(self._A[:, self.kept[self.peaks]]).Q
         left = self._L - Q @ (Q.conj().T @ self._L)  # σ² = tr((I − P_A)R̂)/(M − K)
         free = max(len(left) - Q.shape[1], 1)
-        self.noise = max(float(np.vdot(left, left).real) / free, LEAST_NOISE * self._power, np.finfo(float).tiny)
+        self.noise = max(float(np.vdot(left, left).real) / free, LEAST_NOISE * self._power)
         return change
 
     def _find_peaks(self) -> Int[ndarray, " k"]:
@@ -101,7 +101,7 @@ def refine_evidence(
     which RLS of these minimizes (Tipping & Faul 2003).
     """
     theta, gamma = theta.copy(), gamma.copy()
-    power = float(np.vdot(L, L).real) / len(L)
+    power = float(np.vdot(L, L).real) / len(L) or 1.0
     before = -np.inf
     for _ in range(SWEEPS):
         for k in range(len(theta)):
@@ -116,7 +116,7 @@ def refine_evidence(
         Q = np.linalg.qr(A).Q
         left = L - Q @ (Q.conj().T @ L)
         free = max(len(left) - Q.shape[1], 1)
-        noise = max(float(np.vdot(left, left).real) / free, LEAST_NOISE * power, np.finfo(float).tiny)
+        noise = max(float(np.vdot(left, left).real) / free, LEAST_NOISE * power)
         after = evidence(L, A, gamma, noise)
         if not after - before > GAIN:
             break

@@ -25,9 +25,9 @@ from .omp import Coherence
 
 __all__ = ["SparseBayesian"]
 
-MANY = 100_000  # grid points, whose responses are held in memory
+MANY = 50_000  # grid points, whose responses are held in memory
 UPDATE_S = 1e-9  # time of an update per grid point and squared element [s], on one core of a machine of 2020
-FULL = 10  # about how many updates with all grid points are worth a whole run
+FULL = 20  # about how many updates with all grid points are worth a whole run
 
 
 @final
@@ -103,7 +103,7 @@ class SparseBayesian(Formulation):
     def solve(self, instance: ArrayInstance, minimize: Minimize) -> Float[ndarray, "k d"]:
         """Return the sources (K, d) [rad, m], the most powerful first; fewer if fewer points have any power.
 
-        Raises Incompatible if the grid would have more than 100,000 points, or if there are several frequency bins.
+        Raises Incompatible if the grid would have more than 50,000 points, or if there are several frequency bins.
         """
         one_band(instance.bands, "sparse-bayesian", "whose powers are those of one wavelength")
         K = how_many(instance, self.sources, self.criterion, self)
