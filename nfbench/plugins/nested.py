@@ -84,8 +84,7 @@ NestedSolver: TypeAlias = Annotated[PluginOption, PlainValidator(_as_solver)]
 """An option whose value is another solver, given as a table such as ``{ kind = "de", population = 20 }``."""
 
 NestedFormulation: TypeAlias = Annotated[PluginOption, PlainValidator(_as_formulation)]
-"""An option whose value is another formulation, given as a name or a table such as ``{ kind = "music", refine = true }``.
-"""
+"""An option whose value is another formulation, given as a name, or as a table such as ``{ kind = "music" }``."""
 
 
 def solver_of(option: PluginOption) -> Solver:

@@ -34,11 +34,12 @@ __all__ = ["FitFrom"]
 class FitFrom(Formulation):
     """Weighted subspace fitting or maximum likelihood, minimized locally from the estimate of another formulation.
 
-    The other formulation, ``start``, estimates the sources. From there, the misfit ‖(I − P_A)F‖² of all sources together
-    is minimized by Levenberg–Marquardt on the variable projection, as in ``grid-refine``, but without any search: the
-    result is the minimum in whose valley the start lies. A study with several starts and one objective shows how good
-    each start is; one with several objectives and one start shows what each fit adds. The number of sources is that
-    which the start finds. For several frequency bins the misfit is the sum of theirs, weighted as in ``neef``.
+    The other formulation, ``start``, estimates the sources. From there, the misfit ‖(I − P_A)F‖² of all sources
+    together is minimized by Levenberg–Marquardt on the variable projection, as in ``grid-refine``, but without any
+    search: the result is the minimum in whose valley the start lies. A study with several starts and one objective
+    shows how good each start is; one with several objectives and one start shows what each fit adds. The number of
+    sources is that which the start finds. For several frequency bins the misfit is the sum of theirs, weighted as in
+    ``neef``.
 
     The standard errors of the estimates are stored in columns, as by ``grid-refine``; columns of the start are not.
 

@@ -84,7 +84,7 @@ HOSTILE = {  # manifests of scenes that an estimator must survive
     "at an edge": SMALL | {"sources": 2, "positions": [[60, 0.4], [-60, 5.0]]},
     "planar": SMALL | {"wavefront": "planar"},
     "on an element": SMALL
-    | {"range_m": [0.001, 2.0], "azimuth_deg": [-90, 90], "sources": 1, "positions": [[90, 0.155]]},
+    | {"range_m": [0.05, 2.0], "azimuth_deg": [-90, 90], "sources": 1, "positions": [[90, 0.155]]},
 }
 
 
