@@ -18,7 +18,7 @@ __all__ = ["Evidence", "evidence", "refine_evidence"]
 
 LEAST_NOISE = 1e-10  # power of the noise relative to that of the data, below which it is not estimated
 SWEEPS = 100  # of the refinement
-GAIN = 1e-8  # of the evidence in a sweep, per snapshot, below which the refinement ends
+GAIN = 1e-7  # of the evidence in a sweep, per snapshot, below which the refinement ends
 
 
 @final
