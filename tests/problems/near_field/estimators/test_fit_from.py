@@ -66,7 +66,7 @@ def test_every_start_leads_to_the_same_minimum_where_sources_are_apart(start):
 def test_without_noise_the_sources_are_found(manifest):
     instance = noise_free(scene(1, manifest, min_separation_deg=20.0, snapshots=20))
     for objective in ("wsf", "dml", "esf"):
-        found = in_order(solve(FitFrom(start="newtonized-omp", objective=objective), instance))
+        found = in_order(solve(FitFrom(start="omp", objective=objective), instance))
         assert_allclose(found, in_order(instance.theta), rtol=1e-6)
 
 
