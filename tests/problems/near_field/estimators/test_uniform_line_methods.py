@@ -11,11 +11,17 @@ from numpy.testing import assert_allclose, assert_array_equal
 from nfbench import Incompatible, Solution
 from nfbench.core.options import build
 from nfbench.plugins.registry import Registry
+from nfbench.problems.near_field.estimators.generalized_esprit import GeneralizedEsprit
+from nfbench.problems.near_field.estimators.reduced_dimension_music import ReducedDimensionMusic
 from nfbench.problems.near_field.estimators.subarray_music import SubarrayMusic
 from nfbench.problems.near_field.scenario import NearField
 
-TITLES = {SubarrayMusic: "subarray MUSIC"}
-CENTRED: list = []  # those that need a centred array with a spacing below λ/4
+TITLES = {
+    SubarrayMusic: "subarray MUSIC",
+    GeneralizedEsprit: "generalized ESPRIT",
+    ReducedDimensionMusic: "reduced-dimension MUSIC",
+}
+CENTRED = [GeneralizedEsprit, ReducedDimensionMusic]  # those that need a centred array and a spacing below λ/4
 METHODS = list(TITLES)
 OPTIONS = [{}, {"refine": True}]
 
@@ -43,6 +49,20 @@ def estimate(method, instance, **options) -> np.ndarray:
     ],
 )
 def test_unsuitable_scenes_are_declined(method, array, changes, reason):
+    with pytest.raises(Incompatible, match=reason.format(title=TITLES[method])):
+        estimate(method, scene(0, array, **changes))
+
+
+@pytest.mark.parametrize("method", CENTRED, ids=name)
+@pytest.mark.parametrize(
+    ("array", "changes", "reason"),
+    [
+        ({"origin": "first"}, {}, r'array.origin: expected "center" for {title}, got another origin'),
+        ({"spacing_wavelengths": 0.5}, {}, r"a spacing below .* = 0.2887 λ for {title}, got 0.5 λ"),
+        ({}, {"azimuth_deg": [-60, 90]}, r"= 0.25 λ for {title}, got 0.25 λ"),
+    ],
+)
+def test_arrays_without_symmetric_and_unambiguous_phases_are_declined(method, array, changes, reason):
     with pytest.raises(Incompatible, match=reason.format(title=TITLES[method])):
         estimate(method, scene(0, array, **changes))
 
