@@ -20,7 +20,7 @@ from ..subspace import signal_subspace
 from ..wavefronts import Amplitude, Manifold, Wavefront
 from .music import grid_maxima
 from .refinement import refine, refine_jointly
-from .uniform_line import EQUAL, data_of_line, inverse_range_scale
+from .uniform_line import EQUAL, data_of_line, inverse_range_scale, regress
 
 __all__ = ["SubarrayMusic"]
 
@@ -221,17 +221,9 @@ def _triangulate(s: Float[ndarray, " s"], centres: Float[ndarray, " s"], wavefro
     known = np.isfinite(s)
     s, c = s[known], centres[known]
     if wavefront != "exact":
-        sine, curvature = _regress(s, c, np.ones_like(s))
+        sine, curvature = regress(s, c, np.ones_like(s))
         azimuth = math.asin(min(max(sine, -1.0), 1.0))
         return azimuth, curvature / max(float(inverse_range_scale(wavefront, np.array(azimuth))), EPS)
     cosine = np.sqrt(np.maximum(1 - s**2, EPS))
-    slope, inverse_x = _regress(s / cosine, c, cosine**6)  # y/x and 1/x
+    slope, inverse_x = regress(s / cosine, c, cosine**6)  # y/x and 1/x
     return math.atan(slope), inverse_x / math.hypot(1.0, slope)
-
-
-def _regress(t: Float[ndarray, " s"], c: Float[ndarray, " s"], weights: Float[ndarray, " s"]) -> tuple[float, float]:
-    """Return the η and ξ that minimize Σ w·(t − η + c·ξ)²."""
-    w = weights / weights.sum()
-    dc, dt = c - w @ c, t - w @ t
-    xi = -float((w * dc) @ dt / max(float((w * dc) @ dc), EPS**2))
-    return float(w @ t + xi * (w @ c)), xi

@@ -11,10 +11,22 @@ from nfbench import Incompatible
 from ..array_instance import ArrayInstance
 from ..bands import one_band
 from ..calibration import Knowledge, calibrated
+from ..geometry import azimuth_near
 from ..wavefronts import Manifold, Wavefront
 
-__all__ = ["data_of_line", "inverse_range_scale", "require_centre", "require_quarter_wave", "spacing_of", "widest_sine"]
+__all__ = [
+    "azimuth_of_sine",
+    "data_of_line",
+    "inverse_range_scale",
+    "regress",
+    "require_centre",
+    "require_quarter_wave",
+    "sine_interval",
+    "spacing_of",
+    "widest_sine",
+]
 
+TINY = 1e-18  # spread of the abscissas [m²] of a regression that is 0
 EQUAL = 1e-6  # deviation from a uniform line [wavelengths] that is ignored
 
 
@@ -76,10 +88,33 @@ def require_quarter_wave(manifold: Manifold, spacing: float, sin_max: float, tit
         )
 
 
+def sine_interval(lower: Float[ndarray, " d"], upper: Float[ndarray, " d"]) -> tuple[float, float]:
+    """Return the least and the largest sinφ of the azimuths in a box."""
+    endfire = np.clip(np.arange(-3, 4, 2) * np.pi / 2, lower[0], upper[0])
+    sines = np.sin([lower[0], upper[0], *endfire])
+    return float(sines.min()), float(sines.max())
+
+
 def widest_sine(lower: Float[ndarray, " d"], upper: Float[ndarray, " d"]) -> float:
     """Return the largest |sinφ| of the azimuths in a box."""
-    endfire = np.clip([-np.pi / 2, np.pi / 2], lower[0], upper[0])
-    return float(np.abs(np.sin([lower[0], upper[0], *endfire])).max())
+    return max(map(abs, sine_interval(lower, upper)))
+
+
+def azimuth_of_sine(
+    sines: Float[ndarray, " p"], lower: Float[ndarray, " d"], upper: Float[ndarray, " d"]
+) -> Float[ndarray, " p"]:
+    """Return azimuths with these sines [rad], on the side of the array on which the centre of the box is."""
+    front, middle = np.arcsin(np.clip(sines, -1.0, 1.0)), (lower[0] + upper[0]) / 2
+    azimuth: ndarray = front if np.cos(middle) >= 0 else np.pi - front
+    return azimuth_near(azimuth, middle)
+
+
+def regress(t: Float[ndarray, " s"], c: Float[ndarray, " s"], weights: Float[ndarray, " s"]) -> tuple[float, float]:
+    """Return the η and ξ that minimize Σ w·(t − η + c·ξ)²."""
+    w = weights / weights.sum()
+    dc, dt = c - w @ c, t - w @ t
+    xi = -float((w * dc) @ dt / max(float((w * dc) @ dc), TINY))
+    return float(w @ t + xi * (w @ c)), xi
 
 
 def inverse_range_scale(wavefront: Wavefront, azimuth: Float[ndarray, "*p"]) -> Float[ndarray, "*p"]:

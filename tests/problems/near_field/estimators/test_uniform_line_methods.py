@@ -12,6 +12,7 @@ from nfbench import Incompatible, Solution
 from nfbench.core.options import build
 from nfbench.plugins.registry import Registry
 from nfbench.problems.near_field.estimators.generalized_esprit import GeneralizedEsprit
+from nfbench.problems.near_field.estimators.linear_prediction import LinearPrediction
 from nfbench.problems.near_field.estimators.reduced_dimension_music import ReducedDimensionMusic
 from nfbench.problems.near_field.estimators.subarray_music import SubarrayMusic
 from nfbench.problems.near_field.scenario import NearField
@@ -20,8 +21,13 @@ TITLES = {
     SubarrayMusic: "subarray MUSIC",
     GeneralizedEsprit: "generalized ESPRIT",
     ReducedDimensionMusic: "reduced-dimension MUSIC",
+    LinearPrediction: "linear prediction",
 }
-CENTRED = [GeneralizedEsprit, ReducedDimensionMusic]  # those that need a centred array and a spacing below λ/4
+CENTRED = [
+    GeneralizedEsprit,
+    ReducedDimensionMusic,
+    LinearPrediction,
+]  # those that need a centred array and a spacing below λ/4
 METHODS = list(TITLES)
 OPTIONS = [{}, {"refine": True}]
 
