@@ -14,6 +14,7 @@ from nfbench import Formulation, Instance, Minimize, Solution
 from ..array_instance import ArrayInstance, ArrayScenario
 from ..enumeration import Criterion, Sources, how_many
 from ..objectives.rls import RLS
+from ..search import warm_up as warm_up_search
 from ..subspace import signal_subspace
 from ..wavefronts import Amplitude, Manifold, Wavefront
 from .mirrored import candidates, confirmed, data_of_mirrored_line, examined, halves, mismatch
@@ -73,6 +74,9 @@ class GeneralizedEsprit(Formulation):
     known_failed: bool = False
     known_positions: bool = False
     amplitude: Amplitude = "constant"
+
+    def warm_up(self) -> None:
+        warm_up_search()
 
     def warnings(self, scenario: ArrayScenario) -> list[str]:
         azimuths, ranges = self.grid.counts(2)

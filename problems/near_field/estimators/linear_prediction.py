@@ -13,6 +13,7 @@ from nfbench import Formulation, Ge, Incompatible, Instance, Minimize, Solution
 
 from ..array_instance import ArrayInstance
 from ..enumeration import Criterion, Sources, how_many
+from ..search import warm_up as warm_up_search
 from ..subspace import decompose, signal_subspace
 from ..wavefronts import Amplitude, Manifold, Wavefront
 from .mirrored import data_of_mirrored_line
@@ -81,6 +82,9 @@ class LinearPrediction(Formulation):
     known_failed: bool = False
     known_positions: bool = False
     amplitude: Amplitude = "constant"
+
+    def warm_up(self) -> None:
+        warm_up_search()
 
     def solve(self, instance: ArrayInstance, minimize: Minimize) -> Float[ndarray, "k d"] | Solution:
         """Return the sources (K, 2) [rad, m]; fewer if the polynomial has fewer zeros at angles of the box.

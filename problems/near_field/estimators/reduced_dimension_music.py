@@ -13,6 +13,7 @@ from nfbench import Formulation, Ge, Instance, Le, Minimize, Solution
 
 from ..array_instance import ArrayInstance
 from ..enumeration import Criterion, Sources, how_many
+from ..search import warm_up as warm_up_search
 from ..subspace import signal_subspace
 from ..wavefronts import Amplitude, Wavefront
 from .mirrored import Halves, candidates, confirmed, data_of_mirrored_line, halves, mismatch
@@ -75,6 +76,9 @@ class ReducedDimensionMusic(Formulation):
     known_failed: bool = False
     known_positions: bool = False
     amplitude: Amplitude = "constant"
+
+    def warm_up(self) -> None:
+        warm_up_search()
 
     def solve(self, instance: ArrayInstance, minimize: Minimize) -> Float[ndarray, "k d"] | Solution:
         """Return the sources (K, 2) [rad, m], the best first; fewer if there are fewer peaks.

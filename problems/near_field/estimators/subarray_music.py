@@ -16,6 +16,7 @@ from nfbench import Formulation, Ge, Incompatible, Instance, Lt, Minimize, Solut
 from ..array_instance import ArrayInstance
 from ..enumeration import Criterion, Sources, how_many
 from ..objectives.rls import RLS
+from ..search import warm_up as warm_up_search
 from ..subspace import signal_subspace
 from ..wavefronts import Amplitude, Manifold, Wavefront
 from .music import grid_maxima
@@ -86,6 +87,9 @@ class SubarrayMusic(Formulation):
     known_failed: bool = False
     known_positions: bool = False
     amplitude: Amplitude = "constant"
+
+    def warm_up(self) -> None:
+        warm_up_search()
 
     def solve(self, instance: ArrayInstance, minimize: Minimize) -> Float[ndarray, "k d"] | Solution:
         """Return the sources (K, 2) [rad, m]; fewer if the subarrays resolve fewer.
