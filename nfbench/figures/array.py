@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.patheffects import withStroke
 from numpy import ndarray
 
 from nfbench.core import NfbenchError, Survey
@@ -21,6 +22,7 @@ PANEL, LEFT = 3.2, 0.25  # width of a panel, and height that is left for the tit
 THICK = 1e-3  # share of the largest extent from which an array has an extent along an axis
 NAMED = 40  # elements; more have no room for their names
 FORMATS = ("svg", "png", "pdf")
+HALO = [withStroke(linewidth=1.5, foreground="white")]  # so that names are readable across arrows
 _COLOURS = {"elements": "#0072B2", "broadside": "#D55E00", "up": "#009E73"}
 
 
@@ -68,7 +70,9 @@ def _panel(ax: Axes, survey: Survey, i: int, j: int) -> None:
     ax.plot(Q[:, i], Q[:, j], "o", color=_COLOURS["elements"], markersize=3, label="elements", zorder=3)
     if survey.names and len(Q) <= NAMED:
         for q, name in zip(Q, survey.names, strict=True):
-            ax.annotate(plain(name), q[[i, j]], xytext=(2, 2), textcoords="offset points", fontsize=5)
+            ax.annotate(
+                plain(name), q[[i, j]], (2, 2), textcoords="offset points", fontsize=5, path_effects=HALO, zorder=5
+            )
     centre, length = (Q.max(axis=0) + Q.min(axis=0)) / 2, 0.35 * float(np.ptp(Q, axis=0).max())
     ahead = np.cross(np.eye(3)[i], np.eye(3)[j])  # from the picture to the viewer
     for name, axis in (("broadside", survey.broadside), ("up", survey.up)):

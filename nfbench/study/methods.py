@@ -198,13 +198,35 @@ def _refuse_duplicates(
                 errors.add(path, f"is the same as {first}")
 
 
+def _plain_label(pair: _Pair, resolver: Resolver) -> str:
+    """Return the label of a method without its budget."""
+    if pair.label:
+        return pair.label
+    parts = [resolver.labelled("formulation", pair.formulation.spec).label]
+    if pair.solver:
+        parts.append(resolver.labelled("solver", pair.solver.spec).label)
+    return " + ".join(parts)
+
+
+def _paths_with_budget(pairs: list[_Pair], labels: list[str]) -> set[str]:
+    """Return the paths of methods whose labels name the budget: those with a label that an earlier path has.
+
+    All labels of a group name it then, also those of solvers that run with this budget only.
+    """
+    owners: dict[str, str] = {}
+    named = [(pair, owners.setdefault(label, pair.path)) for pair, label in zip(pairs, labels, strict=True)]
+    return {pair.path for pair, owner in named if owner != pair.path and not pair.label}
+
+
 def _labelled(pairs: list[_Pair], resolver: Resolver) -> list[Method]:
     """Return the methods with distinct labels."""
     errors = resolver.errors
     methods: list[Method] = []
     seen: dict[str, str] = {}
     labels: dict[str, str] = {}
-    for pair in pairs:
+    plain = [_plain_label(pair, resolver) for pair in pairs]
+    with_budget = _paths_with_budget(pairs, plain)
+    for pair, label in zip(pairs, plain, strict=True):
         formulation = resolver.labelled("formulation", pair.formulation.spec)
         solver = resolver.labelled("solver", pair.solver.spec) if pair.solver else None
         budget = pair.limits.budget() if solver else None
@@ -212,8 +234,7 @@ def _labelled(pairs: list[_Pair], resolver: Resolver) -> list[Method]:
         if first != pair.path:
             errors.add(pair.path, f"is the same formulation, solver and budget as {first}")
             continue
-        label = pair.label or (f"{formulation.label} + {solver.label}" if solver else formulation.label)
-        if label in labels and not pair.label and budget:
+        if budget and not pair.label and (label in labels or pair.path in with_budget):
             label += f" @{budget['evaluations'] or str(budget['seconds']) + 's'}"
         if labels.setdefault(label, pair.path) != pair.path:
             errors.add(

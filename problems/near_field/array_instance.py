@@ -77,9 +77,9 @@ class ArrayInstance(Instance, ABC):
         The positions are in the coordinates in which the user describes the array; see ``describe_sources``.
         """
         theta = np.asarray(estimate, dtype=np.float64).reshape(-1, self.manifold.dimension)
-        Y, manifold = calibrated(self, ALL)[0].received if self.is_measured else (self.Y, self.manifold)
+        bands = calibrated(self, ALL) if self.is_measured else self.bands
         found = describe_sources(
-            Y, manifold, self.frame, self.lower, self.upper, self.sources, theta, self.truth(), self.reading
+            bands, self.frame, self.lower, self.upper, self.sources, theta, self.truth(), self.reading
         )
         return replace(found, notes=(*self.notes, *found.notes))
 

@@ -186,3 +186,32 @@ def test_scenes_and_its_old_name_are_not_both_given(manifest):
     path.write_text("scenes = 2\n" + path.read_text())
     with pytest.raises(ManifestError, match="repetitions: is the old name of scenes; give only one of the two"):
         load_study(path)
+
+
+def test_all_labels_of_a_group_name_the_budget_if_one_must(tmp_path):
+    """The first solver runs with both budgets, the others of its group with the smaller one only."""
+    text = """
+name = "labels"
+scenes = 1
+seed = 1
+[scenario]
+kind = "functions"
+[[method]]
+formulation = "direct"
+solver = "scipy-direct"
+budget = { evaluations = 500 }
+[[method]]
+formulation = "direct"
+solver = { group = "deterministic" }
+budget = { evaluations = 100 }
+[[method]]
+formulation = "direct"
+solver = "de"
+budget = { evaluations = 900 }
+"""
+    path = tmp_path / "labels.toml"
+    path.write_text(text, encoding="utf-8")
+    labels = [method.label for method in load_study(path).methods]
+    assert labels[0] == "direct + scipy-direct" and labels[-1] == "direct + de"
+    assert "direct + scipy-direct @100" in labels and "direct + nlopt-direct @100" in labels
+    assert all(label.endswith(" @100") for label in labels[1:-1])

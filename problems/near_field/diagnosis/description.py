@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Complex, Float
@@ -11,11 +12,13 @@ from scipy.linalg import solve_triangular
 
 from nfbench import Localization, Picture
 
+from ..bands import Band
 from ..bounds import information_root
 from ..geometry import Frame, cartesian, direction_derivatives, directions
 from ..wavefronts import Manifold
 from .alternatives import OTHER_UNIT
-from .diagnose import Diagnosis, diagnose
+from .diagnose import diagnose
+from .eigenvalues import Spectrum
 from .goodness import misfit, source_covariance
 from .mirror import mirror_notes
 from .reading import Reading
@@ -27,8 +30,7 @@ BOX_POINTS = 25  # along each edge of the box in a picture
 
 
 def describe_sources(
-    Y: Complex[ndarray, "m t"],
-    manifold: Manifold,
+    bands: Sequence[Band],
     frame: Frame,
     lower: Float[ndarray, " d"],
     upper: Float[ndarray, " d"],
@@ -42,14 +44,16 @@ def describe_sources(
     Each source has x_m, y_m, z_m in the user's coordinates, azimuth_deg, elevation_deg (in 3D) and range_m, the
     standard error of each with the prefix std_, and snr_db, its power at an element relative to the noise. Standard
     errors are those of the stochastic Cramér–Rao bound at the estimate with the estimated powers; those of a source on
-    an edge of the box are NaN.
+    an edge of the box are NaN. Several frequency bins have the positions in common: their information is added, and the
+    signal-to-noise ratio is the mean of theirs.
 
     The fit has misfit, the share of the energy that the estimate does not explain; explained, the share of the signal
     subspace that it explains; p_value of the goodness of fit; noise_power, in the units of the data;
-    significant_eigenvalues; sources, elements, snapshots, and wavelength_m.
+    significant_eigenvalues; sources, elements, snapshots, and wavelength_m. With several bins, noise_power is the mean
+    over them, significant_eigenvalues and snapshots are those of the first, wavelength_m is its wavelength, and bins is
+    their number.
 
-    Y: received data, shape (M, T).
-    manifold: array and wavefront model.
+    bands: data (M, T), array and wavefront model of each frequency bin.
     frame: coordinates in which the user describes the array.
     lower, upper: bounds of one source [rad, m], shape (d,).
     sources: number K of sources that were searched for.
@@ -57,22 +61,24 @@ def describe_sources(
     truth: true sources [rad, m]; None: not known.
     reading: how the data were read; None: nothing is known about it.
     """
-    diagnosis = diagnose(Y, manifold, frame, lower, upper, sources, theta, reading or Reading())
-    powers, C = _uncertainty(manifold, theta, diagnosis, Y.shape[1])
+    diagnosis = diagnose(bands, frame, lower, upper, sources, theta, reading or Reading())
+    powers, C = _uncertainty(bands, theta, diagnosis.spectra)
     C[(~_inside(theta, lower, upper)).repeat(theta.shape[1])] = math.nan
     rows, covariances = _sources(frame, theta, powers, C)
-    finite = diagnosis.spectrum is not None
+    seen, manifold = diagnosis.spectra, bands[0].manifold
     fit = {
-        "misfit": misfit(manifold.response(theta), Y) if finite and len(theta) else math.nan,
+        "misfit": misfit(theta, bands) if seen and len(theta) else math.nan,
         "explained": diagnosis.fit.explained if diagnosis.fit else math.nan,
         "p_value": diagnosis.fit.p_value if diagnosis.fit else math.nan,
-        "noise_power": diagnosis.spectrum.noise if diagnosis.spectrum else math.nan,
-        "significant_eigenvalues": float(diagnosis.spectrum.significant) if diagnosis.spectrum else math.nan,
+        "noise_power": float(np.mean([own.noise for own in seen])) if seen else math.nan,
+        "significant_eigenvalues": float(seen[0].significant) if seen else math.nan,
         "sources": float(len(theta)),
-        "elements": float(Y.shape[0]),
-        "snapshots": float(Y.shape[1]),
+        "elements": float(bands[0].Y.shape[0]),
+        "snapshots": float(bands[0].Y.shape[1]),
         "wavelength_m": manifold.wavelength_m,
     }
+    if len(bands) > 1:
+        fit["bins"] = float(len(bands))
     picture = Picture(
         elements=frame.outward(manifold.positions),
         box=tuple(frame.outward(line) for line in _edges(lower, upper)),
@@ -81,43 +87,56 @@ def describe_sources(
         truth=None if truth is None else frame.outward(cartesian(truth)),
     )
     notes = mirror_notes(theta, manifold, frame, lower, upper)
-    is_other_unit = any(text.startswith(OTHER_UNIT) for text in diagnosis.warnings)
-    replaced = ("array: its",) if is_other_unit else ()  # guesses from its size
-    return Localization(rows, fit, diagnosis.warnings, picture, tuple(notes), replaces=replaced)
+    replaces = {OTHER_UNIT: "array: its", "element": "data: element"}  # guesses, and what is said again
+    found = [old for new, old in replaces.items() if any(text.startswith(new) for text in diagnosis.warnings)]
+    return Localization(rows, fit, diagnosis.warnings, picture, tuple(notes), replaces=tuple(found))
 
 
 def _uncertainty(
-    manifold: Manifold, theta: Float[ndarray, "k d"], diagnosis: Diagnosis, snapshots: int
+    bands: Sequence[Band], theta: Float[ndarray, "k d"], spectra: Sequence[Spectrum]
 ) -> tuple[Float[ndarray, " k"], Float[ndarray, "kd kd"]]:
     """Return the signal-to-noise ratios and the bound on the covariance [rad, m]; NaN where they are not known."""
     K, d = theta.shape
     unknown = np.full(K, math.nan), np.full((K * d, K * d), math.nan)
-    seen = diagnosis.spectrum
-    if seen is None or not seen.noise > 0 or not 0 < K < manifold.elements:
+    if not spectra or not all(seen.noise > 0 for seen in spectra) or not 0 < K < bands[0].manifold.elements:
         return unknown
-    A = manifold.response(theta)
-    P = source_covariance(A, seen, seen.noise) / seen.noise
-    powers = np.diag(P).real
-    snr = np.where(powers > 0, powers, math.nan) * np.mean(np.abs(A) ** 2, axis=1)
-    return snr, _bound(manifold, theta, P, snapshots)
+    ratios, information = [], []
+    for band, seen in zip(bands, spectra, strict=True):
+        A = band.manifold.response(theta)
+        P = source_covariance(A, seen, seen.noise) / seen.noise
+        ratios.append(np.diag(P).real * np.mean(np.abs(A) ** 2, axis=1))
+        information.append(_information(band.manifold, theta, P))
+    power = np.mean(ratios, axis=0)
+    return np.where(power > 0, power, math.nan), _bound(information, [band.Y.shape[1] for band in bands])
 
 
-def _bound(
-    manifold: Manifold, theta: Float[ndarray, "k d"], P: Complex[ndarray, "k k"], snapshots: int
-) -> Float[ndarray, "kd kd"]:
-    """Return the stochastic bound for signals with the covariance P, relative to the noise; NaN if it is not finite.
+def _information(
+    manifold: Manifold, theta: Float[ndarray, "k d"], P: Complex[ndarray, "k k"]
+) -> tuple[Float[ndarray, "rows kd"], Float[ndarray, " kd"]]:
+    """Return J and its rounding errors, where JᵀJ is the information of a snapshot with signals of covariance P.
 
-    X = PAᴴR⁻¹AP with R = APAᴴ + I, as in ``bounds.stochastic_bound``, but for signals that may be correlated.
+    The noise has the power 1. X = PAᴴR⁻¹AP with R = APAᴴ + I, as in ``bounds.stochastic_bound``, but for signals that
+    may be correlated.
     """
     values, vectors = np.linalg.eigh(P)
     B = vectors * np.sqrt(np.maximum(values, 0.0))
     _, s, Vh = np.linalg.svd(manifold.response(theta).T @ B, full_matrices=False)
-    J, rounding = information_root(manifold, theta, B @ Vh.conj().T * (s / np.sqrt(1 + s * s)))
-    R, n = np.linalg.qr(J).R, theta.size
+    return information_root(manifold, theta, B @ Vh.conj().T * (s / np.sqrt(1 + s * s)))
+
+
+def _bound(
+    information: Sequence[tuple[Float[ndarray, "rows n"], Float[ndarray, " n"]]], snapshots: Sequence[int]
+) -> Float[ndarray, "n n"]:
+    """Return the stochastic bound from the information of all bins; NaN if it is not finite."""
+    J = np.vstack([math.sqrt(2 * T) * root for T, (root, _) in zip(snapshots, information, strict=True)])
+    rounding = np.linalg.norm(
+        [math.sqrt(2 * T) * error for T, (_, error) in zip(snapshots, information, strict=True)], axis=0
+    )
+    R, n = np.linalg.qr(J).R, J.shape[1]
     if len(R) < n or not (np.abs(np.diag(R)) > CERTAIN * rounding).all():
         return np.full((n, n), math.nan)
     inverse = solve_triangular(R, np.eye(n))
-    C: ndarray = inverse @ inverse.T / (2 * snapshots)
+    C: ndarray = inverse @ inverse.T
     return C
 
 

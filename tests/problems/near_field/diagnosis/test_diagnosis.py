@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from diagnosis_scenes import LARGE, PLANE, SCENES, ula
 
+from nfbench.problems.near_field.bands import Band
 from nfbench.problems.near_field.channels import complex_normal
 from nfbench.problems.near_field.diagnosis import diagnose
 from nfbench.problems.near_field.estimators.grid_refine import GridRefine
@@ -146,9 +147,9 @@ def test_coincident_estimates_are_named():
 def test_data_that_no_array_receives_are_named():
     instance = SCENES["ULA of 16 elements"].draw(np.random.default_rng(0))
     box = instance.lower, instance.upper
-    arguments = (instance.manifold, Frame(np.eye(3), np.zeros(3)), *box, 2, instance.theta)
+    arguments = (Frame(np.eye(3), np.zeros(3)), *box, 2, instance.theta)
     damaged = instance.Y.copy()
     damaged[3, 7] = np.nan
-    assert "first at element 3, snapshot 7" in diagnose(damaged, *arguments).warnings[0]
-    assert "all zero" in diagnose(0 * instance.Y, *arguments).warnings[0]
-    assert "--sample-rate-hz" in diagnose(instance.Y.real + 0j, *arguments).warnings[0]
+    assert "first at element 3, snapshot 7" in diagnose([Band(damaged, instance.manifold)], *arguments).warnings[0]
+    assert "all zero" in diagnose([Band(0 * instance.Y, instance.manifold)], *arguments).warnings[0]
+    assert "--sample-rate-hz" in diagnose([Band(instance.Y.real + 0j, instance.manifold)], *arguments).warnings[0]

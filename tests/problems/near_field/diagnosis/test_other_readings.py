@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from diagnosis_scenes import SCENES
 
+from nfbench.problems.near_field.bands import Band
 from nfbench.problems.near_field.channels import complex_normal
 from nfbench.problems.near_field.diagnosis import Reading, describe_sources, spectrum
 from nfbench.problems.near_field.estimators.grid_refine import GridRefine
@@ -32,7 +33,7 @@ def test_a_forgotten_elevation_is_named(plane):
     right = plane.draw(np.random.default_rng(0))
     box = right.lower[[0, 2]], right.upper[[0, 2]]
     flat = replace(right.manifold, has_elevation=False)
-    found = describe_sources(right.Y, flat, right.frame, *box, 2, np.array([[-0.3, 0.9], [0.4, 1.2]]))
+    found = describe_sources([Band(right.Y, flat)], right.frame, *box, 2, np.array([[-0.3, 0.9], [0.4, 1.2]]))
     assert found.warnings[0].startswith("the sources are probably not at elevation 0")
     assert "(100 % instead of" in found.warnings[0] and "--elevation-deg -60 60" in found.warnings[0]
 
@@ -40,11 +41,13 @@ def test_a_forgotten_elevation_is_named(plane):
 def test_exchanged_axes_are_named(plane):
     right = plane.draw(np.random.default_rng(0))
     theta = GridRefine().solve(replace(right, Y=right.Y.T.copy()), None).estimate
-    arguments = (right.manifold, right.frame, right.lower, right.upper, 2)
-    found = describe_sources(right.Y.T, *arguments, theta, None, Reading(transposed=(right.Y, 1)))
+    arguments = (right.frame, right.lower, right.upper, 2)
+    found = describe_sources(
+        [Band(right.Y.T, right.manifold)], *arguments, theta, None, Reading(transposed=(right.Y, 1))
+    )
     assert found.warnings[0].startswith("the data are probably transposed") and "--element-axis 1" in found.warnings[0]
     theta = GridRefine().solve(right, None).estimate
-    assert not describe_sources(right.Y, *arguments, theta, None, Reading(transposed=(right.Y.T, 1))).warnings
+    assert not describe_sources(right.bands, *arguments, theta, None, Reading(transposed=(right.Y.T, 1))).warnings
 
 
 def test_mirror_images_behind_a_plane_are_named_in_the_users_coordinates(plane):
