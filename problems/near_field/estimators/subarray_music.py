@@ -116,7 +116,7 @@ class SubarrayMusic(Formulation):
         theta = np.array([_triangulate(s, centres, manifold.wavefront) for s in tracks]).reshape(-1, 2)
         if side < 0:
             theta[:, 0] = np.pi * np.sign(lower[0] + upper[0]) - theta[:, 0]
-        theta[:, 1] = np.where(theta[:, 1] > 0, 1 / np.maximum(theta[:, 1], EPS), np.inf)
+        theta[:, 1] = 1 / np.maximum(theta[:, 1], EPS)  # lines that diverge: beyond the box
         theta = np.clip(theta, lower, upper)
         return refine_jointly(Y, manifold, lower, upper, theta) if self.refine else theta
 

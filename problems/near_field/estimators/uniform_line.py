@@ -48,8 +48,6 @@ def data_of_line(
         raise Incompatible(
             f'wavefront: expected "exact", "fresnel" or "paper" for {title}, got "planar", which has no range'
         )
-    if not np.isfinite(Y).all():
-        raise ValueError("Y: expected finite data, got NaN or infinite entries")
     return Y, manifold, spacing
 
 
