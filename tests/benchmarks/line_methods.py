@@ -1,18 +1,21 @@
 """Speed of the methods for uniform lines: ``OMP_NUM_THREADS=1 python tests/benchmarks/line_methods.py`` prints a table.
 
-Each call is timed alternately with the eigenvalue decomposition of the covariance that the methods are described with,
-which is the linear algebra that dominates them; the implementations replace it by a power iteration.
+The processor time of each call is measured alternately with that of the eigenvalue decomposition of the covariance that
+the methods are described with, which is the linear algebra that dominates them; the implementations replace it by a
+power iteration. Ratios are medians over rounds.
 """
 
 from __future__ import annotations
 
 import sys
+import time
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 from rich.console import Console
 from rich.table import Table
-from timing import in_turn, ratio
+from timing import ROUNDS, ratio
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
@@ -25,6 +28,13 @@ from nfbench.problems.near_field.estimators.reduced_dimension_music import Reduc
 from nfbench.problems.near_field.estimators.subarray_music import SubarrayMusic
 
 METHODS = (SubarrayMusic, GeneralizedEsprit, ReducedDimensionMusic, LinearPrediction, ModifiedMusic)
+
+
+def seconds(call: Callable[[], object]) -> float:
+    """Return the processor time of a call [s]."""
+    start = time.thread_time()
+    call()
+    return time.thread_time() - start
 
 
 def main() -> None:
@@ -43,8 +53,8 @@ def main() -> None:
             ]
             for call in calls:
                 call()
-            eigh, *times = in_turn(calls, [1, 1, 1])
-            table.add_row(method.__name__, str(K), *(f"{ratio(each, eigh):.2g}" for each in times))
+            eigh, *times = zip(*[[seconds(call) for call in calls] for _ in range(ROUNDS)], strict=True)
+            table.add_row(method.__name__, str(K), *(f"{ratio(list(each), list(eigh)):.2g}" for each in times))
     Console().print(table)
 
 

@@ -25,7 +25,7 @@ __all__ = ["LinearPrediction"]
 TITLE = "linear prediction"
 RANGES = 400  # of the first search, uniform in inverse range
 OFFSETS = 9  # anti-diagonals from which an isolated source is estimated
-CONVERGED = 1e-10  # change of a sine and of κ·D in a sweep that is none
+CONVERGED = 1e-8  # change of a sine and of κ·D in a sweep that is none
 DEPENDENT = 1e-6  # length of a response, relative to others, that is left when the isolated one is projected off
 
 
