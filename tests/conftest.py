@@ -7,6 +7,7 @@ import textwrap
 from pathlib import Path
 
 import jaxtyping
+import numpy as np
 import pytest
 
 # Check array shapes during the tests, except in modules that some test calls with wrong shapes on purpose. The hook
@@ -22,6 +23,8 @@ jaxtyping.install_import_hook(
     "beartype.beartype",
 )
 
+STATES: dict[str, dict] = {}  # of the generator RNG of each test module, as it was before the first test
+
 PLUGINS = Path(__file__).parent / "toy_plugins"
 PROJECT = Path(__file__).parent.parent
 COMMAND_ENVIRONMENT = {**os.environ, "COLUMNS": "120", "NO_COLOR": "1"}
@@ -31,6 +34,14 @@ def nfbench(*arguments, cwd, timeout=120):
     """Run the command line in a separate process, as a user does."""
     command = [sys.executable, "-m", "nfbench", *map(str, arguments)]
     return subprocess.run(command, cwd=cwd, capture_output=True, text=True, env=COMMAND_ENVIRONMENT, timeout=timeout)
+
+
+@pytest.fixture(autouse=True)
+def same_random_numbers_in_any_order(request):
+    """A generator RNG of a test module starts anew in each test, whichever tests ran before it."""
+    rng = getattr(request.module, "RNG", None)
+    if isinstance(rng, np.random.Generator):
+        rng.bit_generator.state = STATES.setdefault(request.module.__name__, rng.bit_generator.state)
 
 
 @pytest.fixture

@@ -79,6 +79,8 @@ def run(
         todo, proofs = store.open_ordinals(), store.references.open_ordinals()
         total = sum(store.counts().values())
         log.info("%d of %d runs to do, on %s", len(todo), total, cluster or f"{jobs} worker processes")
+        for text in study.warnings:
+            log.warning("%s", text)
         if study.proven:
             log.info("%d of %d optima to prove", len(proofs), study.references)
             total += sum(store.references.counts().values())

@@ -2,6 +2,7 @@
 
 import json
 import sqlite3
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -21,6 +22,12 @@ def run(path, out, **options):
 
 def table(results):
     return results.runs.drop(columns=TIMES)
+
+
+def test_the_log_keeps_the_warnings_of_the_study(manifest, tmp_path):
+    study = replace(load_study(manifest(BASIC)), warnings=("scenario: data: element 5 receives nothing",))
+    nfbench.run(study, out=tmp_path / "out", jobs=0)
+    assert "WARNING scenario: data: element 5 receives nothing" in (tmp_path / "out" / "study.log").read_text()
 
 
 def test_every_run_is_a_row_with_the_public_columns(manifest, tmp_path):

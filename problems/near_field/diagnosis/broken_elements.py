@@ -12,7 +12,7 @@ from ..wavefronts import Manifold
 from .eigenvalues import Spectrum, spectrum
 from .goodness import Fit, fit, weighted_subspace
 
-__all__ = ["incoherent", "misfitting", "misfitting_elements", "silent_elements"]
+__all__ = ["are_mixed", "incoherent", "misfitting", "misfitting_elements", "silent_elements"]
 
 LEVEL = 1e-3  # p-value from which the model fits
 OF_NOISE = 5.0  # coherence with the others, times the number of snapshots, which noise alone hardly exceeds
@@ -20,27 +20,33 @@ WEAKLY = 0.05  # the same, relative to the median of all elements
 COHERENT = 0.1  # coherence of the median element from which the elements receive the same signals
 OUTLYING = 12.0  # residual of an element, relative to the median, which the largest of many rarely exceeds
 BETTER = 0.25  # factor by which leaving out elements must lower the unexplained share
+WEAK = 1e-4  # power of an element, relative to the median of all, from which it is weak: −40 dB
 MOST = 8  # elements that are left out for their residual
 
 
-def silent_elements(Y: Complex[ndarray, "m t"], manifold: Manifold, names: tuple[str, ...]) -> list[str]:
-    """Return a sentence about elements that share no signals with the others, whatever the model is.
+def silent_elements(Y: Complex[ndarray, "m t"], names: tuple[str, ...] = ()) -> list[str]:
+    """Return a sentence about elements that share no signals with the others or are far weaker, whatever the model is.
 
-    Y: received data, shape (M, T).
-    manifold: array and wavefront model.
-    names: names or numbers of the elements, by which they are left out.
+    Y: received data, shape (M, T), one row per element.
+    names: names or numbers of the elements, by which they are left out; empty: the numbers of the rows.
     """
-    if _are_mixed(manifold):
+    power = np.mean(np.abs(Y) ** 2, axis=1)
+    dead = np.flatnonzero(power == 0)
+    weak = np.flatnonzero((power <= WEAK * np.median(power)) & (power > 0))
+    others, levels = incoherent(Y)
+    others = np.setdiff1d(others, [*dead, *weak])
+    found = {"{receive} nothing": dead, "{are} at least 40 dB weaker than the median of all": weak}
+    if len(others):
+        text = (
+            f"hardly {{receive}} what the others receive: the coherence (magnitude squared) with nine in ten other "
+            f"elements is at most {levels[others].max():.1g}, against a median of {np.median(levels):.2g}"
+        )
+        found[text] = others
+    clauses = [f"{_called(which, names)} {_inflected(text, len(which))}" for text, which in found.items() if len(which)]
+    if not clauses:
         return []
-    broken, levels = incoherent(Y)
-    if not len(broken):
-        return []
-    text = (
-        f"hardly {{receive}} what the others receive: the coherence with nine in ten other elements is at most "
-        f"{levels[broken].max():.1g}, compared with {np.median(levels):.2g} for the median of all; the cable or the "
-        f"element may be broken"
-    )
-    return [_sentence(broken, text, names)]
+    broken = np.sort(np.concatenate(list(found.values()))).astype(int)
+    return [f"{', and '.join(clauses)}; the cable or the element may be broken: {_leave_out(broken, names)}"]
 
 
 def misfitting_elements(
@@ -57,7 +63,7 @@ def misfitting_elements(
     The arguments are those of ``diagnose``; ``quality`` is the fit of all elements, and ``names`` are the names or
     numbers of the elements, by which they are left out.
     """
-    if _are_mixed(manifold) or np.isnan(quality.p_value):
+    if are_mixed(manifold) or np.isnan(quality.p_value):
         return []
     broken, share = misfitting(Y, seen, manifold, lower, upper, quality)
     if not len(broken):
@@ -66,7 +72,7 @@ def misfitting_elements(
         f"{{do}} not fit the others: without {{them}}, the sources explain {100 * share:.4g} % in place of "
         f"{100 * quality.explained:.4g} % of the signal subspace; the position, cable or gain may be wrong"
     )
-    return [_sentence(broken, text, names)]
+    return [f"{_called(broken, names)} {_inflected(text, len(broken))}: {_leave_out(broken, names)}"]
 
 
 def incoherent(Y: Complex[ndarray, "m t"]) -> tuple[ndarray, Float[ndarray, " m"]]:
@@ -127,7 +133,7 @@ def _residuals(manifold: Manifold, kept: ndarray, found: Fit, spectra: Spectrum)
     return rest
 
 
-def _are_mixed(manifold: Manifold) -> bool:
+def are_mixed(manifold: Manifold) -> bool:
     """Whether a row of the data is not that of one element, such as after whitening."""
     return manifold.weights is not None and np.ndim(manifold.weights) > 1
 
@@ -137,16 +143,24 @@ def _without(manifold: Manifold, kept: ndarray) -> Manifold:
     return replace(manifold, positions=manifold.positions[kept], weights=weights)
 
 
-def _sentence(broken: ndarray, text: str, names: tuple[str, ...]) -> str:
-    """Say what is wrong with elements, and how to leave them out."""
-    called = [names[m] if names else str(m) for m in broken]
-    many = len(called) > 1
-    numbers = all(name.isdigit() for name in called)
-    verbs = {"receive": "receive" if many else "receives", "do": "do" if many else "does"}
+def _called(which: ndarray, names: tuple[str, ...]) -> str:
+    """Return "elements 5 and 19 (counted from 0)", or their names."""
+    called = [names[m] if names else str(m) for m in which]
     listed = " and ".join(filter(None, [", ".join(called[:-1]), called[-1]]))
+    counted = " (counted from 0)" if all(name.isdigit() for name in called) else ""
+    return f"element{'s' * (len(called) > 1)} {listed}{counted}"
+
+
+def _inflected(text: str, count: int) -> str:
+    """Put the verbs of a clause in the singular or plural."""
+    forms = {"receive": ("receives", "receive"), "do": ("does", "do"), "are": ("is", "are"), "them": ("it", "them")}
+    return text.format(**{word: both[count > 1] for word, both in forms.items()})
+
+
+def _leave_out(broken: ndarray, names: tuple[str, ...]) -> str:
+    """Say how elements are left out."""
+    called = [names[m] if names else str(m) for m in broken]
+    numbers = all(name.isdigit() for name in called)
     table = ", ".join(called if numbers else (f'"{name}"' for name in called))
-    return (
-        f"element{'s' * many} {listed}{' (counted from 0)' * numbers} "
-        f"{text.format(**verbs, them='them' if many else 'it')}: leave {'them' if many else 'it'} out with "
-        f"failed = [{table}] (--failed {','.join(called)})"
-    )
+    them = "them" if len(called) > 1 else "it"
+    return f"leave {them} out with failed = [{table}] (--failed {','.join(called)})"

@@ -87,9 +87,9 @@ def describe_sources(
         truth=None if truth is None else frame.outward(cartesian(truth)),
     )
     notes = mirror_notes(theta, manifold, frame, lower, upper)
-    is_other_unit = any(text.startswith(OTHER_UNIT) for text in diagnosis.warnings)
-    replaced = ("array: its",) if is_other_unit else ()  # guesses from its size
-    return Localization(rows, fit, diagnosis.warnings, picture, tuple(notes), replaces=replaced)
+    replaces = {OTHER_UNIT: "array: its", "element": "data: element"}  # guesses, and what is said again
+    found = [old for new, old in replaces.items() if any(text.startswith(new) for text in diagnosis.warnings)]
+    return Localization(rows, fit, diagnosis.warnings, picture, tuple(notes), replaces=tuple(found))
 
 
 def _uncertainty(

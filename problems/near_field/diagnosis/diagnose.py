@@ -14,7 +14,7 @@ from ..geometry import Frame
 from ..wavefronts import Manifold
 from .alternatives import better_alternative, search_share
 from .box_checks import alias_warnings, coincidence_warnings, edge_warnings, side_warnings
-from .broken_elements import misfitting_elements, silent_elements
+from .broken_elements import are_mixed, misfitting_elements, silent_elements
 from .data_checks import data_warnings
 from .eigenvalues import Spectrum, spectrum
 from .goodness import Fit, Seen, fit_bins
@@ -173,7 +173,7 @@ def _misfit(
     explained = quality.explained if quality else 0.0
     best = search_share(seen, manifold, lower, upper, K) if explained < NEARLY_ALL else None
     known = max(explained, best or 0.0)
-    found = silent_elements(Y, manifold, reading.elements)
+    found = [] if are_mixed(manifold) else silent_elements(Y, reading.elements)
     if known < NEARLY_ALL and not found:
         other = better_alternative(seen, manifold, frame, lower, upper, K, known, _other_data(reading))
         found = [other] if other else []

@@ -43,10 +43,12 @@ def block_problem(block: int, delay: float, samples: int) -> tuple[str, bool] | 
     """
     if block >= LONG * delay or delay < 1:
         return None
-    longer = 2 * block
-    while longer < LONG_ENOUGH * delay:
+    longer = block
+    while longer < LONG_ENOUGH * delay and 4 * longer <= samples:
         longer *= 2
-    remedy = f"use longer blocks (--block {longer})" if longer <= samples / 2 else "record for longer"
+    remedy = f"use longer blocks (--block {longer})" if longer > block else "record for longer"
+    if block < longer < LONG_ENOUGH * delay:
+        remedy += ", or record for longer"
     text = (
         f"blocks of {block} samples are only {block / delay:.2g} times as long as the delay across the array, "
         f"{delay:.3g} samples, so that one source may seem to be several: {remedy}"

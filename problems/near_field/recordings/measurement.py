@@ -12,7 +12,6 @@ from scipy.signal import get_window
 __all__ = [
     "COMPLEX",
     "covariance_factor",
-    "dead_channels",
     "normalized",
     "oriented",
     "refuse_covariance",
@@ -28,7 +27,6 @@ COMPLEX = (
 
 WEAKEST = 1e-10  # power that the sources do not explain, relative to that of the data, below which it is rounding
 SAME = 1e-6  # relative difference of two elements of a covariance that are equal up to rounding
-DEAD = 1e-4  # power of a channel, relative to the median of all, below which it is dead: −40 dB
 
 
 def oriented(X: Shaped[ndarray, ...], elements: int, axis: int | None) -> tuple[Shaped[ndarray, "m n"], int]:
@@ -123,12 +121,6 @@ def without_phase(kind: str, rate_hz: float | None) -> str:
     rate = "" if rate_hz else " and sample_rate_hz (--sample-rate-hz)"
     text = f"expected complex {kind}, got real numbers, which have no phase"
     return f'{text}; for samples over time, give data_kind = "samples"{rate}'
-
-
-def dead_channels(Y: Complex[ndarray, "m t"]) -> list[int]:
-    """Return the rows whose power is 0, or at most −40 dB of the median of all rows."""
-    power = np.mean(np.abs(Y) ** 2, axis=1)
-    return [int(m) for m in np.flatnonzero((power <= DEAD * np.median(power)) | (power == 0))]
 
 
 def normalized(Y: Complex[ndarray, "m t"], sources: int) -> tuple[Complex[ndarray, "m t"], float]:

@@ -14,15 +14,13 @@ from numpy import ndarray
 from nfbench import FilePath, Ge, Instance, Le, Lt, OptionError
 
 from ..bands import Band
-from ..diagnosis import Reading
+from ..diagnosis import Reading, silent_elements
 from .blocks import block_problem, default_block, longest_delay
-from .elements import elements_text, leave_out
 from .files import read_array
 from .instance import RecordedInstance
 from .measurement import (
     COMPLEX,
     covariance_factor,
-    dead_channels,
     normalized,
     oriented,
     refuse_covariance,
@@ -152,7 +150,7 @@ class Recorded(Measured):
         return self.segments, "one per segment of the recording; raise segments"
 
     def warnings(self) -> list[str]:
-        theta, dead = self._theta(), dead_channels(self._data.Y)
+        theta = self._theta()
         found = super().warnings() + ([] if theta is None else self.outside("truth_m", theta))
         if theta is not None and len(theta) != self.sources:
             text = (
@@ -161,11 +159,8 @@ class Recorded(Measured):
             found.append(
                 f"{text} of the nearest pairs and may be too small; only gospa_m counts the sources without a pair"
             )
-        if dead:
-            numbers = [self.working[m] for m in dead]
-            text = f"data: {elements_text(numbers, self.array.element_names)} {'is' if len(dead) == 1 else 'are'}"
-            found.append(f"{text} at least 40 dB weaker than the median; {leave_out(numbers)}")
-        return found
+        silent = silent_elements(self._data.Y, self._element_names())
+        return found + [f"data: {text}" for text in silent]
 
     def draw(self, rng: np.random.Generator) -> RecordedInstance:
         """Return the recording, or its first segment; nothing is random."""
@@ -291,6 +286,8 @@ class Recorded(Measured):
                 refuse_covariance(Y)
                 flipped = Y.T[working]
                 reading = replace(reading, transposed=(flipped.conj() if self.conjugate else flipped, 1 - axis))
+        if self.failed:
+            notes.append(f"{len(Y) - len(working)} of {len(Y)} elements are left out: {', '.join(map(str, self.failed))}")
         Y = Y[working]
         if not Y.any():
             raise ValueError("expected data other than 0, got zeros only; check which array is read (variable)")

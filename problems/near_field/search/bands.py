@@ -16,18 +16,11 @@ from ..objectives.sum_of_fits import SumOfFits
 from ..wavefronts import Manifold
 from . import general, kernels
 from .grid import resolution_grid
+from .levenberg_marquardt import Box, State, minimize
 from .local_search import LocalMinimum, unit_of
 
 __all__ = ["BandFit", "covariance_of_bands", "search_bands_greedily", "search_bands_locally"]
 
-# The limits are those of the compiled search, in kernels/local_search.py.
-ITERATIONS = 100
-FIRST_DAMPING, LAST_DAMPING = 1e-3, 1e12  # μ
-LONGEST = 0.25  # of a step in each coordinate: in beamwidths and depths of focus
-ENOUGH = 1e-15  # decrease of J, relative to J, at which the search ends
-LOST = 1e-13  # predicted decrease below which J may rise by its rounding errors alone
-ROUNDING = 1e-30  # decrease of J, relative to ‖F‖², below which J is only the rounding of the residuals
-FLAT = 1e-14  # least curvature, relative to the greatest
 CANDIDATES = 2000  # grid points among which lobes are distinguished
 LOBES = 6  # from which a source is searched
 PROMISING = 0.9  # gain of a lobe on the finer grid, relative to the best, from which it is searched
@@ -43,18 +36,10 @@ class BandFit(NamedTuple):
     manifold: Manifold
 
 
-class _Point(NamedTuple):
-    """J, half of its gradient and of its Gauss–Newton curvature, and the least pivot of AᴴA over the bins."""
-
-    J: float
-    g: Float[ndarray, " n"]
-    H: Float[ndarray, "n n"]
-    pivot: float
-
-
-def _at(fits: Sequence[BandFit], unit: Float[ndarray, " d"], x: Float[ndarray, " n"]) -> _Point:
+def _at(fits: Sequence[BandFit], unit: Float[ndarray, " d"], x: Float[ndarray, " n"]) -> State:
+    """Return the sum over the bins, and the least pivot of AᴴA in any of them."""
     J, g, H, pivot = zip(*[_in_bin(fit.F, fit.manifold, unit, x) for fit in fits], strict=True)
-    return _Point(sum(J), np.sum(g, axis=0), np.sum(H, axis=0), min(pivot))
+    return State(sum(J), np.sum(g, axis=0), np.sum(H, axis=0), min(pivot))
 
 
 def _in_bin(
@@ -66,39 +51,6 @@ def _in_bin(
     else:
         J, g, H, pivot = general.derivatives(manifold, F, x, unit)
     return J, g, H, pivot
-
-
-class _Chart(NamedTuple):
-    """The coordinates z = angle/unit or 1/(range·unit) of the search, and the box in them."""
-
-    units: Float[ndarray, " n"]
-    low: Float[ndarray, " n"]
-    high: Float[ndarray, " n"]
-    is_range: Bool[ndarray, " n"]
-
-    @staticmethod
-    def of(
-        unit: Float[ndarray, " d"], lower: Float[ndarray, " d"], upper: Float[ndarray, " d"], sources: int
-    ) -> _Chart:
-        d = len(unit)
-        units, low, high = (np.tile(each, sources) for each in (unit, lower, upper))
-        return _Chart(units, low, high, np.arange(len(units)) % d == d - 1)
-
-    @property
-    def ends(self) -> Float[ndarray, "2 n"]:
-        """The bounds of z."""
-        ends: ndarray = np.sort([self.invert(self.low) / self.units, self.invert(self.high) / self.units], axis=0)
-        return ends
-
-    def invert(self, v: Float[ndarray, " n"]) -> Float[ndarray, " n"]:
-        return np.where(self.is_range, 1 / np.where(self.is_range, v, 1.0), v)
-
-    def locate(self, z: Float[ndarray, " n"]) -> Float[ndarray, " n"]:
-        """Return x of z [rad, m], exactly on an edge where z is."""
-        least, greatest = self.ends
-        placed = np.clip(self.invert(z * self.units), self.low, self.high)
-        placed = np.where(z <= least, np.where(self.is_range, self.high, self.low), placed)
-        return np.where(z >= greatest, np.where(self.is_range, self.low, self.high), placed)
 
 
 def search_bands_locally(
@@ -119,76 +71,16 @@ def search_bands_locally(
     fixed: number of sources at the beginning of x that keep their positions.
     """
     kernels.warm_up()
-    d = len(lower)
-    chart = _Chart.of(unit_of(_shortest(fits)), lower, upper, len(x) // d)
-    ends = chart.ends
-    held = np.arange(len(x)) < fixed * d
+    unit = unit_of(_shortest(fits))
     energy = sum(float(np.vdot(F, F).real) for F, _ in fits)
-    z, best = chart.invert(x) / chart.units, np.array(x, dtype=np.float64)
-    now = _at(fits, chart.units[:d], best)
-    damping, growth, steps = FIRST_DAMPING, 2.0, 0
-    while steps < ITERATIONS and damping <= LAST_DAMPING:
-        limits = np.maximum(ends[0] - z, -LONGEST), np.minimum(ends[1] - z, LONGEST)
-        s, limited = _step(now.g, now.H, *limits, damping, held)
-        predicted = -float(s @ (2 * now.g + now.H @ s))
-        if not predicted > ENOUGH * now.J + ROUNDING * energy:
-            if not limited:
-                break
-            damping, growth = damping * growth, 2 * growth
-            continue
-        moved = np.where(s == ends[0] - z, ends[0], np.where(s == ends[1] - z, ends[1], np.clip(z + s, *ends)))
-        trial = np.where(held, best, chart.locate(moved))
-        steps += 1
-        then = _at(fits, chart.units[:d], trial)
-        drop = now.J - then.J
-        if not drop > 0:
-            if predicted <= LOST * now.J:
-                break
-            damping, growth = damping * growth, 2 * growth
-            continue
-        z, best, now = moved, trial, then
-        damping *= max(0.1, 1 - (2 * drop / predicted - 1) ** 3)
-        growth = 2.0
-        if drop <= ENOUGH * now.J:
-            break
-    return LocalMinimum(best, now.J, now.H, steps, now.pivot)
+    found, state, steps = minimize(
+        lambda x: _at(fits, unit, x), Box(lower, upper, unit, len(x)), x, fixed * len(lower), energy
+    )
+    return LocalMinimum(found, state.J, state.H, steps, state.pivot)
 
 
 def _shortest(fits: Sequence[BandFit]) -> Manifold:
     return min((manifold for _, manifold in fits), key=lambda manifold: manifold.wavelength_m)
-
-
-def _step(
-    g: Float[ndarray, " n"],
-    H: Float[ndarray, "n n"],
-    low: Float[ndarray, " n"],
-    high: Float[ndarray, " n"],
-    damping: float,
-    fixed: Bool[ndarray, " n"],
-) -> tuple[Float[ndarray, " n"], bool]:
-    """Return the minimizer of the damped model J + 2g·s + sᵀHs within limits, and whether a limit was met.
-
-    What leaves the limits is put on them, and the other coordinates are solved again given those.
-    """
-    s = np.zeros(len(g))
-    held = fixed | ((low >= 0) & (g >= 0)) | ((high <= 0) & (g <= 0))
-    curvature = np.diag(H)
-    size = np.maximum(curvature, FLAT * max(float(curvature.max()), 1e-300))
-    limited = False
-    for _ in range(len(g)):
-        free = ~held
-        if not free.any():
-            break
-        matrix = (H + damping * np.diag(size))[np.ix_(free, free)]
-        scale = 1 / np.sqrt(size[free])
-        right = -g[free] - H[np.ix_(free, held)] @ s[held]
-        s[free] = scale * np.linalg.lstsq(scale[:, None] * matrix * scale, scale * right, rcond=FLAT)[0]
-        outside = free & ~((low <= s) & (s <= high))
-        if not outside.any():
-            break
-        s[outside] = np.where(s[outside] < low[outside], low[outside], high[outside])
-        held, limited = held | outside, True
-    return s, limited
 
 
 def search_bands_greedily(

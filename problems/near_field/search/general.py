@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from typing import NamedTuple, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Complex, Float
@@ -17,6 +17,7 @@ from numpy import ndarray
 from ..bounds import information_root
 from ..objectives.general_fit import orthonormalize, squared_lengths
 from ..wavefronts import Manifold
+from .levenberg_marquardt import Box, State, minimize
 
 __all__ = ["choose_greedily", "choose_replacement", "derivatives", "inverse_curvature", "local_search"]
 
@@ -27,14 +28,6 @@ SAME_LOBE = 0.3  # squared correlation of two responses above which they are in 
 LEAST = 1e-8  # squared distance of a candidate from the span of the others, relative to its own, below which it is none
 SINGULAR = 1e-8  # singular value of A, relative to the greatest, below which it is 0
 APART = 1e-10  # least pivot of AᴴA from which standard errors are computed
-
-ITERATIONS = 100
-FIRST_DAMPING, LAST_DAMPING = 1e-3, 1e12  # μ
-LONGEST = 0.25  # of a step in each coordinate: in beamwidths and depths of focus
-ENOUGH = 1e-15  # decrease of J, relative to J, at which the search ends
-LOST = 1e-13  # predicted decrease below which J may rise by its rounding errors alone
-ROUNDING = 1e-30  # decrease of J, relative to ‖F‖², below which J is only the rounding of the residual
-FLAT = 1e-14  # least curvature, relative to the greatest
 
 
 def choose_greedily(responses: Responses, F: Complex[ndarray, "m c"], sources: int, starts: int) -> list[list[int]]:
@@ -91,15 +84,6 @@ def _best(
     return best, response
 
 
-class State(NamedTuple):
-    """J at a point, half its gradient and half its Gauss–Newton Hessian in the units of the search."""
-
-    J: float
-    g: Float[ndarray, " n"]
-    H: Float[ndarray, "n n"]
-    pivot: float
-
-
 def local_search(
     manifold: Manifold,
     F: Complex[ndarray, "m c"],
@@ -113,57 +97,10 @@ def local_search(
 
     The first ``fixed`` coordinates keep their values.
     """
-    box = _Box(lower, upper, unit, len(start))
-    x, z = start.copy(), box.inward(start)
-    state, energy = derivatives(manifold, F, x, unit), float(np.vdot(F, F).real)
-    damping, growth, steps = FIRST_DAMPING, 2.0, 0
-    while steps < ITERATIONS and damping <= LAST_DAMPING:
-        low, high = np.maximum(box.low - z, -LONGEST), np.minimum(box.high - z, LONGEST)
-        s, predicted, limited = _step(state, low, high, damping, fixed)
-        if not predicted > ENOUGH * state.J + ROUNDING * energy:
-            if not limited:
-                break
-            damping, growth = damping * growth, 2.0 * growth
-            continue
-        trial = np.clip(z + s, box.low, box.high)
-        moved = box.outward(trial)
-        moved[:fixed] = start[:fixed]
-        steps += 1
-        after = derivatives(manifold, F, moved, unit)
-        drop = state.J - after.J
-        if not drop > 0.0:
-            if predicted <= LOST * state.J:
-                break
-            damping, growth = damping * growth, 2.0 * growth
-            continue
-        x, z, state = moved, trial, after
-        damping *= max(0.1, 1.0 - (2.0 * drop / predicted - 1.0) ** 3)
-        growth = 2.0
-        if drop <= ENOUGH * state.J:
-            break
+    box = Box(lower, upper, unit, len(start))
+    energy = float(np.vdot(F, F).real)
+    x, state, steps = minimize(lambda x: derivatives(manifold, F, x, unit), box, start, fixed, energy)
     return x, state.J, state.H, steps, state.pivot
-
-
-class _Box:
-    """The box of all sources in the units z of the search: angle/unit, and 1/(range·unit), whose ends change places."""
-
-    def __init__(self, lower: ndarray, upper: ndarray, unit: ndarray, n: int) -> None:
-        d = len(unit)
-        self.unit, self.lower, self.upper = (np.tile(side, n // d) for side in (unit, lower, upper))
-        self.is_range = np.arange(n) % d == d - 1
-        self.low, self.high = np.sort([self.inward(self.lower), self.inward(self.upper)], axis=0)
-
-    def inward(self, x: Float[ndarray, " n"]) -> Float[ndarray, " n"]:
-        return np.where(self.is_range, 1 / np.where(self.is_range, x, 1.0), x) / self.unit
-
-    def outward(self, z: Float[ndarray, " n"]) -> Float[ndarray, " n"]:
-        """x of z, exactly on an edge where z is."""
-        scaled = z * self.unit
-        x = np.where(self.is_range, 1 / np.where(self.is_range, scaled, 1.0), scaled)
-        at_low, at_high = z <= self.low, z >= self.high
-        x = np.where(at_low, np.where(self.is_range, self.upper, self.lower), x)
-        x = np.where(at_high, np.where(self.is_range, self.lower, self.upper), x)
-        return np.clip(x, self.lower, self.upper)
 
 
 def derivatives(
@@ -188,40 +125,6 @@ def derivatives(
     H = ((left.conj().T @ left) * (C @ C.conj().T)[np.ix_(source, source)].T).real
     R = np.linalg.qr(a.T / np.linalg.norm(a, axis=1)).R
     return State(float(np.vdot(E, E).real), g, H, float(np.abs(np.diag(R)).min() ** 2))
-
-
-def _step(
-    state: State, low: Float[ndarray, " n"], high: Float[ndarray, " n"], damping: float, fixed: int
-) -> tuple[Float[ndarray, " n"], float, bool]:
-    """The step s within its limits, the decrease of J that the model J + 2g·s + sᵀHs predicts, and whether it is cut.
-
-    The first ``fixed`` coordinates are held, and those at an edge of the box from which the gradient points outwards.
-    What leaves the limits is put on them, and the other coordinates are solved again given those.
-    """
-    g, H = state.g, state.H
-    n = len(g)
-    size = np.maximum(np.diag(H), FLAT * max(float(np.diag(H).max()), 1e-300))
-    damped = H + np.diag(size * damping + (size - np.diag(H)))
-    s, limited = np.zeros(n), False
-    held = (np.arange(n) < fixed) | ((low >= 0) & (g >= 0)) | ((high <= 0) & (g <= 0))
-    for _ in range(n):
-        free = ~held
-        if free.any():
-            right = -g[free] - H[np.ix_(free, held)] @ s[held]
-            s[free] = _solve(damped[np.ix_(free, free)], right)
-        out = free & ~((low <= s) & (s <= high))
-        if not out.any():
-            break
-        s[out] = np.clip(s[out], low[out], high[out])
-        held, limited = held | out, True
-    return s, float(-s @ (2 * g + H @ s)), limited
-
-
-def _solve(H: Float[ndarray, "n n"], right: Float[ndarray, " n"]) -> Float[ndarray, " n"]:
-    try:
-        return np.linalg.solve(H, right)
-    except np.linalg.LinAlgError:
-        return np.asarray(np.linalg.lstsq(H, right, rcond=None)[0])
 
 
 def inverse_curvature(
