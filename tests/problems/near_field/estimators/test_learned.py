@@ -27,10 +27,6 @@ PAPER = {
 }
 
 
-MEDIAN = 5.0, 30.0  # error at 20 dB, in bounds
-WITHIN_10 = 0.1  # share of scenes
-
-
 def scene(seed: int = 0, array: dict | None = None, **changes) -> NearFieldInstance:
     manifest = PAPER | {"array": PAPER["array"] | (array or {})} | changes
     return build(NearField, manifest).draw(np.random.default_rng(seed))
@@ -53,12 +49,11 @@ def in_box(estimate: np.ndarray, instance: NearFieldInstance) -> bool:
 
 
 def test_the_errors_are_those_that_the_documentation_states():
-    """Typically some ten bounds at 20 dB; the network never misses a source."""
-    scenes = [scene(seed) for seed in range(50)]
-    errors = in_bounds(scenes)
-    assert MEDIAN[0] <= np.median(errors) <= MEDIAN[1]
-    assert np.mean(errors <= 10) >= WITHIN_10
-    assert np.mean(errors <= 100) >= 0.94
+    """About 3 bounds at 20 dB in the median, and at most 10 in more than 80 % of scenes; no source is missed."""
+    errors = in_bounds([scene(seed) for seed in range(50)])
+    assert 2.5 <= np.median(errors) <= 4.0
+    assert np.mean(errors <= 10) >= 0.8
+    assert errors.max() < 40
 
 
 def test_refined_estimates_meet_the_bound_as_those_of_grid_refine():
@@ -71,11 +66,11 @@ def test_refined_estimates_meet_the_bound_as_those_of_grid_refine():
     assert np.median(errors * [each.bounds()["crb_m"] for each in scenes]) < 1.1 * np.median(reference)
 
 
-def test_angles_are_within_a_twentieth_of_a_beamwidth_of_the_sources():
+def test_angles_are_within_a_thirtieth_of_a_beamwidth_of_the_sources():
     for seed in range(20):
         instance = scene(seed)
         found, true = np.sort(solve(instance)[:, 0]), np.sort(instance.theta[:, 0])
-        assert_allclose(np.sin(found), np.sin(true), atol=0.05 / 32)
+        assert_allclose(np.sin(found), np.sin(true), atol=1 / 30 / 32)
 
 
 @pytest.mark.parametrize("refine", [False, True])
@@ -111,7 +106,7 @@ def test_a_part_of_the_box_is_enough():
 def test_other_numbers_of_sources_than_in_training_are_found(sources):
     """The network sees no number of sources: the best proposals are taken."""
     found = [scene(seed, sources=sources, min_separation_deg=4.0) for seed in range(10)]
-    assert np.median(in_bounds(found)) < 40
+    assert np.median(in_bounds(found)) < 15
     assert np.median(in_bounds(found, refine=True)) < 1.5
 
 
