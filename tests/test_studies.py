@@ -19,7 +19,10 @@ PROJECT = Path(__file__).parent.parent
 RESULTS = PROJECT / "results"
 MANIFESTS = sorted((PROJECT / "studies" / "paper").glob("*.toml"))
 REFUSED = {"rmse_snr_half": {"modified MUSIC 400×2000"}}  # methods that a study includes to show that they are refused
-NEW = ("line_of_sight", "snr_imbalance")  # studies of results/paper that were run with today's seeds and tables
+NEW = (  # studies of results/paper that were run with today's seeds and tables
+    *("line_of_sight", "penalty", "rmse_snr_quarter", "snr_imbalance", "snr_imbalance_los"),
+    *("source_number_mismatch", "wavefront_mismatch"),
+)
 IMPAIRMENTS = sorted((PROJECT / "studies" / "impairments").glob("*.toml"))
 FOLDERS = ("paper/*", "impairments/*", "*")
 JUDGED = sorted(table for folder in FOLDERS for table in RESULTS.glob(f"{folder}/claims.csv"))

@@ -32,6 +32,7 @@ from .intervals import (
     share_interval,
     variance_components,
 )
+from .landscape import Minima, find_minima, landscape_facts
 from .outcomes import Outcomes, Point, outcomes
 from .paired import PairedChange, paired_change, tuning_verdict
 from .parameters import Parameter, parameters
@@ -58,6 +59,7 @@ __all__ = [
     "Block",
     "Cell",
     "Choice",
+    "Minima",
     "Outcomes",
     "PairedChange",
     "Parameter",
@@ -75,12 +77,14 @@ __all__ = [
     "ecdf_band",
     "ert",
     "ert_interval",
+    "find_minima",
     "first_reached",
     "fixed_budget_table",
     "fixed_target_table",
     "headline",
     "holm",
     "judge_claims",
+    "landscape_facts",
     "log_ratios",
     "outcomes",
     "paired_change",

@@ -13,10 +13,12 @@ from nfbench.core import NfbenchError, OptionError, printable
 
 from . import (  # noqa: F401  # importing them registers the commands
     choose_command,
+    landscape_command,
     localize_command,
     plugin_commands,
     results_commands,
     study_commands,
+    table_command,
     tune_command,
 )
 from .common import INTERRUPTED, USAGE, app

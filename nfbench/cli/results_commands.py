@@ -58,7 +58,7 @@ Only = Annotated[
     typer.Option(
         metavar="KIND[,KIND]",
         help="Only these figures: error, runtime, distribution, ert, ranks, tradeoff, attainment, convergence, "
-        "positions (default: those that suit the study).",
+        "positions, geometry, scene, landscape (default: those that suit the study).",
     ),
 ]
 OneTarget = Annotated[
@@ -153,11 +153,14 @@ def figure(
     folder: Folder,
     out: Annotated[Path | None, typer.Option(help="Folder for the figures (default: DIR).")] = None,
     formats: Annotated[
-        str, typer.Option("--format", help="svg, pdf, png, or several of them separated by commas.")
+        str, typer.Option("--format", help="svg, pdf, png, tex (LaTeX code), or several of them separated by commas.")
     ] = "svg,pdf",
     width: Annotated[
         Width, typer.Option(help="Width of the figures: an IEEE column (3.5 in) or page (7.16 in).")
     ] = Width.SINGLE,
+    columns: Annotated[
+        int | None, typer.Option(min=1, max=2, help="The same as --width: 1 column is single, 2 are double.")
+    ] = None,
     metric: Annotated[
         Metric | None,
         typer.Option(
@@ -179,7 +182,7 @@ def figure(
     ] = None,
     plugin: Plugins = None,
 ) -> None:
-    """Draw a study's figures: errors, run times, runtime distributions, rankings, convergence and positions."""
+    """Draw a study's figures: errors, run times, runtime distributions, rankings, positions, landscapes and more."""
     from nfbench.figures import FORMATS, KINDS, Drawing, write_figures
     from nfbench.results import Results
 
@@ -191,7 +194,7 @@ def figure(
     if unknown := [kind for kind in chosen if kind not in KINDS]:
         raise typer.BadParameter(f"expected some of {', '.join(KINDS)}, got {unknown[0]!r}", param_hint="--only")
     how = Drawing(
-        width.value,
+        width.value if columns is None else "single" if columns == 1 else "double",
         metric.value if metric else None,
         title,
         positions,

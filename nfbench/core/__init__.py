@@ -6,6 +6,7 @@ Nothing in this package depends on studies, results or processes.
 from __future__ import annotations
 
 from .budget import Budget, TargetOption, TargetTable
+from .cut import Cut, Plane
 from .errors import (
     BudgetExhausted,
     Incompatible,
@@ -20,6 +21,7 @@ from .errors import (
     message_of,
 )
 from .formulation import Formulation, Minimize, Solution
+from .latex import latex_text
 from .localization import Localization, Picture
 from .meter import MeteredProblem
 from .minimization import budget_problem, budget_warning, common_start, minimize, start_problem
@@ -55,6 +57,7 @@ __all__ = [
     "AskTellSolver",
     "Budget",
     "BudgetExhausted",
+    "Cut",
     "Extra",
     "FilePath",
     "Formulation",
@@ -76,6 +79,7 @@ __all__ = [
     "OptionError",
     "Options",
     "Picture",
+    "Plane",
     "PluginError",
     "PluginOption",
     "Problem",
@@ -101,6 +105,7 @@ __all__ = [
     "die_with_parent",
     "end_group_at_eof",
     "explain",
+    "latex_text",
     "message_of",
     "minimize",
     "nearest",

@@ -21,6 +21,8 @@ class Picture:
     sources: estimated positions, shape (K, 3).
     covariances: covariances of the estimated positions [m²], shape (K, 3, 3); NaN where they are not known.
     truth: true positions, shape (any, 3); None if they are not known.
+    distances: distances from the origin that are worth knowing, such as the Fraunhofer distance: name and length.
+    origin: point from which they are measured, shape (3,); None: the origin of the coordinates.
     """
 
     elements: Float[ndarray, "m 3"]
@@ -28,6 +30,8 @@ class Picture:
     sources: Float[ndarray, "k 3"]
     covariances: Float[ndarray, "k 3 3"]
     truth: Float[ndarray, "_ 3"] | None = None
+    distances: tuple[tuple[str, float], ...] = ()
+    origin: Float[ndarray, " 3"] | None = None
 
 
 @dataclass(frozen=True, eq=False)

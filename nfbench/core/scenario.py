@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy import ndarray
 
+from .cut import Cut
 from .localization import Localization
 from .options import Options
 from .problem import Problem
@@ -64,6 +65,10 @@ class Instance(ABC):
         """
         return None
 
+    def cuts(self) -> Sequence[Cut]:
+        """Return planes through objectives at the truth, for figures of the landscape; the default is none."""
+        return ()
+
     def truth(self) -> ndarray | None:
         """Return the estimate whose ``error`` is 0, which the checks use; None if it is not known."""
         return None
@@ -76,6 +81,13 @@ class ProblemInstance(Instance, ABC):
     """
 
     problem: Problem
+
+    def cuts(self) -> Sequence[Cut]:
+        """The problem itself, if it has two unknowns and its minimizer is known."""
+        truth = self.truth()
+        if truth is None or self.problem.dimension != 2 or np.shape(truth) != (2,):
+            return ()
+        return (Cut("Objective", self.problem, truth, (0, 1), ("x₁", "x₂"), (1.0, 1.0), truth[None]),)
 
 
 @dataclass(frozen=True)

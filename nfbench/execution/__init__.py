@@ -9,6 +9,7 @@ if TYPE_CHECKING:
     from .compile_ahead import warm_up
     from .dry_check import dead_formulations, refuse_dead
     from .engine import RunAll, ordered_runner, run_specs
+    from .landscape import first_problem, landscape_table, write_landscape
     from .localization import localize
     from .procedures import Procedure, procedure, recommended
     from .run_study import Listener, run
@@ -18,6 +19,8 @@ __all__ = [
     "Procedure",
     "RunAll",
     "dead_formulations",
+    "first_problem",
+    "landscape_table",
     "localize",
     "ordered_runner",
     "procedure",
@@ -26,6 +29,7 @@ __all__ = [
     "run",
     "run_specs",
     "warm_up",
+    "write_landscape",
 ]
 
 _MODULES = {
@@ -33,6 +37,8 @@ _MODULES = {
     "Procedure": "procedures",
     "RunAll": "engine",
     "dead_formulations": "dry_check",
+    "first_problem": "landscape",
+    "landscape_table": "landscape",
     "localize": "localization",
     "ordered_runner": "engine",
     "procedure": "procedures",
@@ -41,6 +47,7 @@ _MODULES = {
     "run": "run_study",
     "run_specs": "engine",
     "warm_up": "compile_ahead",
+    "write_landscape": "landscape",
 }
 
 

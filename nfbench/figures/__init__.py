@@ -17,6 +17,7 @@ from matplotlib.figure import Figure
 
 from nfbench.core import NfbenchError
 from nfbench.results import Results
+from nfbench.study import read_labels
 
 from .array import write_array_figure
 from .attainment import attainment_figure
@@ -26,12 +27,16 @@ from .distribution import distribution_figure
 from .drawing import KINDS, Drawing, Kind, NotDrawnError
 from .error import error_figures
 from .expected_cost import ert_figure
+from .geometry import geometry_figures
 from .labels import name_of, setting, text_of
+from .landscape import landscape_figures
 from .localization import localization_figure, write_localization_figure
 from .positions import few_enough, position_figures
 from .ranks import ranks_figure
 from .runtime import runtime_figure
+from .scene import scene_figures
 from .style import styled
+from .tex import tex_files
 from .tradeoff import spread_of_costs, tradeoff_figure
 
 __all__ = [
@@ -54,6 +59,7 @@ FORMATS: dict[str, dict[str, Any]] = {  # metadata; None drops what changes with
     "svg": {"Date": None, "Creator": "nfbench"},
     "pdf": {"CreationDate": None, "Creator": "nfbench"},
     "png": {"Software": None},
+    "tex": {},
 }
 
 
@@ -68,6 +74,13 @@ _SINGLE: dict[Kind, Callable[[Drawn, Drawing], Figure]] = {
 }
 
 
+_OF_SCENES: dict[Kind, Callable[[Drawn, Results, Drawing], Iterator[tuple[str, Figure]]]] = {
+    "geometry": geometry_figures,
+    "scene": scene_figures,
+    "landscape": landscape_figures,
+}
+
+
 def figures(
     results: Results, how: Drawing | None = None, warn: Callable[[str], object] = lambda _: None
 ) -> Iterator[tuple[str, Figure]]:
@@ -78,7 +91,9 @@ def figures(
     warn: function that receives a sentence about anything that the figures leave out.
 
     Without ``only``, these are the figures that have something to show for this study, except for attainment and
-    convergence, which read all traces. Raises StoreError if there is no study, and NfbenchError if no run has an
+    convergence, which read all traces, and geometry, scene and landscape, which redraw scenes.
+
+    Raises StoreError if there is no study, and NfbenchError if no run has an
     estimate yet, or if a requested figure cannot be drawn.
     """
     seen: set[str] = set()
@@ -91,7 +106,7 @@ def figures(
 
 
 def _figures(results: Results, how: Drawing, warn: Callable[[str], object]) -> Iterator[tuple[str, Figure]]:
-    study = drawn(results, how.title, how.methods)
+    study = drawn(results, how.title, how.methods, read_labels(how.manifest or results.folder / "manifest.toml"))
     left = results.counts.get("open", 0)
     if left:
         done = len(study.runs)
@@ -101,6 +116,11 @@ def _figures(results: Results, how: Drawing, warn: Callable[[str], object]) -> I
             yield from error_figures(study, how.width, how.metric)
         elif kind == "positions":
             yield from _positions(study, results, how, warn)
+        elif kind in _OF_SCENES:
+            try:
+                yield from _OF_SCENES[kind](study, results, how)
+            except NotDrawnError as reason:
+                raise NfbenchError(f"{results.folder}: {kind} cannot be drawn: {reason}") from reason
         else:
             try:
                 yield kind, _SINGLE[kind](study, how)
@@ -119,6 +139,7 @@ def _kinds(study: Drawn, how: Drawing) -> list[Kind]:
         "tradeoff": spread_of_costs(study),
         "attainment": False,
         "convergence": False,
+        **dict.fromkeys(_OF_SCENES, False),
         "positions": how.positions is None and few_enough(study),
     }
     return [kind for kind in KINDS if _requested(kind, how) or (not how.only and suits.get(kind, True))]
@@ -161,11 +182,19 @@ def write_figures(
         warnings.filterwarnings("ignore", message="Glyph .* missing from font")  # a label in another script
         for stem, figure in figures(results, how, warn):
             for kind in formats:
-                drawing = io.BytesIO()
-                figure.savefig(drawing, format=kind, metadata=FORMATS[kind])
                 paths.append(out / f"{stem}.{kind}")
-                _write(paths[-1], drawing.getvalue())
+                for name, content in _drawing(figure, stem, kind).items():
+                    _write(out / name, content)
     return paths
+
+
+def _drawing(figure: Figure, stem: str, kind: str) -> dict[str, bytes]:
+    """The files of a figure in one format, by name."""
+    if kind == "tex":
+        return tex_files(figure, stem)
+    drawing = io.BytesIO()
+    figure.savefig(drawing, format=kind, metadata=FORMATS[kind])
+    return {f"{stem}.{kind}": drawing.getvalue()}
 
 
 def _write(path: Path, content: bytes) -> None:

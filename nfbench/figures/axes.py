@@ -69,7 +69,9 @@ def legend_below(figure: Figure, entries: Mapping[str, Artist], note: str = "") 
     entries: drawn example of each text.
     """
     handles, texts = list(entries.values()), list(map(plain, entries))
-    note = plain("\n".join(textwrap.wrap(note, width=int(figure.get_figwidth() * 20))))
+    note = plain("\n".join(textwrap.wrap(note, width=int(figure.get_figwidth() * 19))))
+    height = figure.get_figheight()
+    figure.set_figheight(height + 0.2 * (len(texts) + note.count("\n") + 2))  # room to measure the legend in
     for wanted in range(min(len(texts), 4), 0, -1):
         rows = math.ceil(len(texts) / wanted)
         columns = math.ceil(len(texts) / rows)
@@ -79,7 +81,7 @@ def legend_below(figure: Figure, entries: Mapping[str, Artist], note: str = "") 
         if columns == 1 or legend.get_window_extent().width <= figure.bbox.width:
             break
         legend.remove()
-    figure.set_figheight(figure.get_figheight() + legend.get_window_extent().height / figure.dpi)
+    figure.set_figheight(height + legend.get_window_extent().height / figure.dpi)
 
 
 def error_axis(axes: Iterable[Axes], which: Literal["x", "y"], values: Iterable[float]) -> None:

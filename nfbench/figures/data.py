@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, final
 
@@ -19,7 +19,7 @@ from nfbench.results import Evidence, Results
 
 from .drawing import Wanted
 from .highlights import highlighted
-from .labels import Places, places
+from .labels import Places, name_of, places, plain, setting
 from .style import Style, styles
 
 __all__ = ["Drawn", "Metric", "chosen", "drawn", "key_of", "median_over_scenes"]
@@ -57,6 +57,7 @@ class Drawn:
     styles: style of each method.
     evidence: hits and ranking of the study.
     where: the swept columns that are fixed in this part, as (column, value) pairs.
+    names: labels of axes that the manifest gives, by key.
     """
 
     runs: pd.DataFrame
@@ -67,6 +68,7 @@ class Drawn:
     styles: dict[str, Style]
     evidence: Evidence
     where: tuple[tuple[str, Any], ...] = ()
+    names: Mapping[str, str] = field(default_factory=dict)
 
     @cached_property
     def swept(self) -> list[str]:
@@ -96,9 +98,18 @@ class Drawn:
 
     @cached_property
     def along(self) -> tuple[str, Places | None] | None:
-        """The swept column for the x axis (the first numeric one, if any) and its places; None without a sweep."""
+        """The swept column for the x axis and its places: that with the most numbers. None without a sweep."""
         found = [(column, places(key_of(column), self.table[column].tolist())) for column in self.swept]
-        return next((pair for pair in found if pair[1]), found[0] if found else None)
+        return max(found, key=lambda pair: len(pair[1].of) if pair[1] else 0, default=None)
+
+    def name(self, column: str) -> str:
+        """The label of the axis of a swept column."""
+        return name_of(key_of(column), self.names)
+
+    @property
+    def settings(self) -> list[str]:
+        """The fixed values of this part, e.g. ``SNR = 20 dB``."""
+        return [setting(key_of(column), value, self.names) for column, value in self.where]
 
     def by(self, columns: Sequence[str]) -> list[Drawn]:
         """The parts in which these columns are constant, in the study's order; ``[self]`` without columns."""
@@ -119,9 +130,8 @@ class Drawn:
         if wanted not in (None, "rmse", "median"):
             return self._of_parameter(wanted)
         metres = self.error == "rmse_m"
-        rmse = Metric(
-            self.error, "RMSE [m]" if metres else f"RMS {self.error}", bounds=("crb_m", "floor_m") if metres else ()
-        )
+        label = self._given("rmse", "RMSE [m]" if metres else f"RMS {self.error}")
+        rmse = Metric(self.error, label, bounds=("crb_m", "floor_m") if metres else ())
         median = Metric("median_m" if metres else f"{self.error}_median", self.median_label)
         if wanted:
             return [rmse if wanted == "rmse" else median]
@@ -140,7 +150,15 @@ class Drawn:
     @property
     def median_label(self) -> str:
         """The axis label of the median error."""
-        return "Median [m]" if self.error == "rmse_m" else f"Median {self.error}"
+        return self._given("median", "Median [m]" if self.error == "rmse_m" else f"Median {self.error}")
+
+    @property
+    def time_label(self) -> str:
+        """The axis label of run times."""
+        return self._given("runtime", "Run time [s]")
+
+    def _given(self, key: str, label: str) -> str:
+        return plain(self.names[key]) if key in self.names else label
 
     def bound(self, column: str) -> pd.DataFrame:
         """A bound at each scenario point, as the median over methods; points where it is unknown are left out."""
@@ -159,8 +177,10 @@ def key_of(column: str) -> str:
     return column.removeprefix("scenario.")
 
 
-def drawn(results: Results, title: bool = True, methods: Sequence[str] = ()) -> Drawn:
-    """The data to draw, with these methods in colour in addition to the best ones.
+def drawn(
+    results: Results, title: bool = True, methods: Sequence[str] = (), names: Mapping[str, str] | None = None
+) -> Drawn:
+    """The data to draw, with these methods in colour in addition to the best ones, and these labels of axes.
 
     Raises StoreError if there is no study, NfbenchError if no run has an estimate yet or a method is unknown.
     """
@@ -180,8 +200,10 @@ def drawn(results: Results, title: bool = True, methods: Sequence[str] = ()) -> 
     ends = [f"runtime_median_s{end}" for end in ("", "_low", "_high")]
     table[ends] = np.array(times).reshape(-1, 3)
     evidence, labels = results.evidence(runs), list(dict.fromkeys(runs["method"]))
-    shown = styles(labels, highlighted(labels, methods, evidence))
-    return Drawn(runs, table, error, outlier_m, meta["title"] if title else "", shown, evidence)
+    families = dict(zip(runs["method"], zip(runs["formulation"], runs["solver"], strict=True), strict=True))
+    shown = styles(labels, highlighted(labels, methods, evidence, families))
+    heading = meta["title"] if title else ""
+    return Drawn(runs, table, error, outlier_m, heading, shown, evidence, names=names or {})
 
 
 def median_over_scenes(runs: pd.DataFrame, column: str) -> tuple[float, float, float]:
@@ -195,6 +217,18 @@ def median_over_scenes(runs: pd.DataFrame, column: str) -> tuple[float, float, f
 
 
 def chosen(parts: Sequence[Drawn]) -> list[Drawn]:
-    """All parts, or four of them: the first, the last and two evenly spaced between."""
+    """All parts, or four of them: the first, the last and two evenly spaced between.
+
+    If they differ in two columns, these are the first and the last value of one with those of the other.
+    """
+    if len(parts) <= PANELS:
+        return list(parts)
+    values = [list(dict.fromkeys(part.where[i][1] for part in parts)) for i in range(len(parts[0].where))]
+    differing = [i for i, column in enumerate(values) if len(column) > 1]
+    if len(differing) == 2:
+        ends = [(values[i][0], values[i][-1]) for i in differing]
+        corners = [p for p in parts if all(p.where[i][1] in pair for i, pair in zip(differing, ends, strict=True))]
+        if len(corners) == PANELS:
+            return corners
     picks = np.unique(np.linspace(0, len(parts) - 1, PANELS).round().astype(int))
-    return [parts[i] for i in picks] if len(parts) > PANELS else list(parts)
+    return [parts[i] for i in picks]

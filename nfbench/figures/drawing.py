@@ -12,7 +12,18 @@ from nfbench.core import NfbenchError
 __all__ = ["KINDS", "Drawing", "Kind", "NotDrawnError", "Wanted"]
 
 Kind: TypeAlias = Literal[
-    "error", "runtime", "distribution", "ert", "ranks", "tradeoff", "attainment", "convergence", "positions"
+    "error",
+    "runtime",
+    "distribution",
+    "ert",
+    "ranks",
+    "tradeoff",
+    "attainment",
+    "convergence",
+    "positions",
+    "geometry",
+    "scene",
+    "landscape",
 ]
 KINDS: tuple[Kind, ...] = get_args(Kind)
 Wanted: TypeAlias = Literal["rmse", "median", "azimuth", "elevation", "range"]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 import textwrap
+from collections import Counter
 from collections.abc import Collection, Iterator, Sequence
 from typing import Any, Literal, cast
 
@@ -18,11 +19,23 @@ from numpy import ndarray
 
 from .axes import error_axis, legend_below, new_figure, swept_axis
 from .data import Drawn, Metric, key_of
+from .direct import direct, name_ends
 from .drawing import Wanted
-from .labels import Places, name_of, plain, setting, short, text_of
+from .highlights import listed
+from .labels import Places, plain, short, text_of
 from .style import WIDTHS
 
-__all__ = ["bound_look", "error_figures", "headed", "heading", "method_handles", "named", "slug"]
+__all__ = [
+    "below_bound",
+    "bound_handles",
+    "bound_look",
+    "error_figures",
+    "headed",
+    "heading",
+    "method_handles",
+    "named",
+    "slug",
+]
 
 PANELS = {"single": 3, "double": 4}  # values of a second key in one figure; if there are more, each has its own figure
 NAME = {"single": 26, "double": 50}  # characters per line of a method's name
@@ -31,6 +44,11 @@ LONG = 15  # rows; with more, names are cut to one line
 STEM = 120  # characters of a file name
 BEYOND = 1e6  # times the lower end: where an interval ends that reaches infinity
 BANDS = 5  # with more methods, intervals are bars, because bands would hide each other
+BELOW = 0.97  # times the bound: an error that is visibly below it
+BIAS = (
+    "An RMSE below the bound: the bound holds for unbiased estimates; a search box limits errors, and the RMSE of "
+    "few scenes varies"
+)
 BOUNDS: dict[str, tuple[str, dict[str, Any]]] = {  # columns of the summary that are drawn in addition to the methods
     "crb": ("Cramér–Rao bound", {"color": "black", "linestyle": "--", "linewidth": 1.0}),
     "floor": ("Error floor", {"color": "black", "linestyle": ":", "linewidth": 1.2}),
@@ -73,7 +91,7 @@ def headed(ax: Axes, part: Drawn) -> None:
 
 def heading(part: Drawn, most: int) -> list[str]:
     """The fixed values of a part, in lines of about this many characters that break between values where possible."""
-    settings = [setting(key_of(column), value) for column, value in part.where]
+    settings = part.settings
     kept = [text.replace(" ", "\N{NO-BREAK SPACE}") if len(text) < most else text for text in settings]
     lines = textwrap.wrap(", ".join(kept), max(most, 8), break_on_hyphens=False)
     return [line.replace("\N{NO-BREAK SPACE}", " ") for line in lines]
@@ -81,7 +99,7 @@ def heading(part: Drawn, most: int) -> list[str]:
 
 def named(part: Drawn) -> str:
     """The fixed values of a part, e.g. ``SNR = 20 dB``."""
-    return ", ".join(setting(key_of(column), value) for column, value in part.where)
+    return ", ".join(part.settings)
 
 
 def slug(part: Drawn) -> str:
@@ -128,10 +146,23 @@ def _lines(parts: list[Drawn], metrics: list[Metric], width: str, column: str, a
     for ax in grid.flat:
         swept_axis(ax, at)
     for ax in grid[-1]:
-        ax.set_xlabel(name_of(key_of(column)))
+        ax.set_xlabel(parts[0].name(column))
     figure.align_ylabels()
-    _legend(figure, parts, metrics, joined=True)
+    names = parts[-1].coloured
+    named_at_ends = not one_row and direct(names, WIDTHS[width], heights[0])
+    for metric, ax in zip(metrics, panels[-1], strict=True) if named_at_ends else ():
+        if not metric.share:
+            ends = {name: _end(parts[-1].of(name).sort_values(column), metric, column, at) for name in names}
+            name_ends(ax, ends, {name: parts[-1].styles[name].colour for name in names}, heights[0])
+    _legend(figure, parts, metrics, joined=True, but=names if named_at_ends else ())
     return figure
+
+
+def _end(rows: pd.DataFrame, metric: Metric, column: str, at: Places) -> tuple[float, float]:
+    """The last point of a method's line; NaN if it has none."""
+    y = _numbers(rows, metric, metric.column)
+    known = np.flatnonzero(np.isfinite(y))
+    return (float(rows[column].map(at.of).iloc[known[-1]]), float(y[known[-1]])) if len(known) else (math.nan,) * 2
 
 
 def _draw_lines(ax: Axes, part: Drawn, metric: Metric, column: str, at: Places) -> None:
@@ -167,7 +198,7 @@ def _apart(x: ndarray, y: ndarray, at: Places) -> tuple[ndarray, ndarray]:
 def _dots(parts: list[Drawn], metrics: list[Metric], width: str, column: str | None = None) -> Figure:
     """One row of panels per part, one column per metric, and in each category the methods below each other."""
     groups = [part.by([column] if column else []) for part in parts]
-    rows = [] if column else _names(parts[0].table, width)
+    rows = [] if column else _names(parts[0], width)
     step = 0.11 if column else 0.15 if len(rows) > LONG else 0.17 if not any("\n" in row for row in rows) else 0.24
     heights = [sum(step * _rows_of(group, column) + (0.12 if column else 0.0) for group in row) + 0.2 for row in groups]
     figure = new_figure(WIDTHS[width], sum(heights) + 0.45, parts[0].title)
@@ -182,7 +213,7 @@ def _dots(parts: list[Drawn], metrics: list[Metric], width: str, column: str | N
         _scale(axes, "x", metric, parts)
         axes[-1].set_xlabel(metric.label.replace(" [%]", "\n[%]"))
     for ax in grid[:, 0] if column else ():
-        ax.set_ylabel(name_of(key_of(column or "")))
+        ax.set_ylabel(parts[0].name(column or ""))
     if column or any(len(parts[0].bound(name)) for metric in metrics for name in metric.bounds):
         _legend(figure, parts, metrics, joined=False, methods=column is not None)
     return figure
@@ -194,19 +225,16 @@ def _draw_rows(
     """Draw the rows of a part from the top. A group is a category; without categories the best method comes first."""
     top, ticks, names = 0.0, [], []
     for number, group in enumerate(groups):
-        table = group.table if column else group.table.sort_values(group.error, na_position="last")
         count = _rows_of(group, column)
-        alone = [name for name in table["method"] if column is None or not group.styles[name].pale]
-        places = dict.fromkeys(table["method"], -top - count + 1) | dict(
-            zip(alone, -top - np.arange(count), strict=False)
-        )
+        alone, together = _split(group, column)
+        places = dict(zip(alone, -top - np.arange(count), strict=False)) | dict.fromkeys(together, -top - count + 1)
         span = (-top - count + 0.3, -top + 0.7) if column is None else (-top - count + 0.1, -top + 0.9)
         for metric, ax in zip(metrics, axes, strict=True):
             if number % 2:
                 ax.axhspan(*span, color="0.95", linewidth=0, zorder=0)
             _draw_dots(ax, group, metric, places, span)
-        ticks += [-top - (count - 1) / 2] if column else list(places.values())
-        names += [text_of(group.where[-1][1])] if column else _names(table, width)
+        ticks += [-top - (count - 1) / 2] if column else list(dict.fromkeys(places.values()))
+        names += [text_of(group.where[-1][1])] if column else _names(group, width)
         top += count + 0.8
     for ax in axes:
         ax.set_ylim(span[0], 0.9 if column else 0.7)
@@ -217,33 +245,47 @@ def _draw_rows(
 
 
 def _rows_of(group: Drawn, column: str | None) -> int:
-    """Number of rows of a category: one for each method in colour, and one for all others. Without a sweep, all."""
-    pale = [name for name in group.table["method"] if group.styles[name].pale] if column else []
-    return len(group.table) - len(pale) + bool(pale)
+    """Number of rows of a group."""
+    alone, together = _split(group, column)
+    return len(alone) + bool(together)
+
+
+def _split(group: Drawn, column: str | None) -> tuple[list[str], list[str]]:
+    """The methods with a row of their own and those that share one: the grey ones of a category, else all but the best.
+
+    Without a category, the best method comes first.
+    """
+    if column is None:
+        return listed(group.table.sort_values(group.error, na_position="last")["method"].tolist(), group.coloured)
+    shown = group.table["method"].tolist()
+    return [n for n in shown if not group.styles[n].pale], [n for n in shown if group.styles[n].pale]
 
 
 def _draw_dots(ax: Axes, group: Drawn, metric: Metric, places: dict[str, float], span: tuple[float, float]) -> None:
+    lone = Counter(places.values())
     for name, y in places.items():
         style, rows = group.styles[name], group.of(name)
         ax.plot(_numbers(rows, metric, metric.column), [y], **style.points, label=plain(name))
         low, high = _ends(rows, metric)
-        if not metric.share and not np.isnan(low).all():
+        if not metric.share and not np.isnan(low).all() and (lone[y] == 1 or not style.pale):
             ax.hlines([y], low, high, color=style.colour, linewidth=1.0, zorder=2)
     for name in metric.bounds:
         for value in group.bound(name)[name] if name in group.table else ():
             ax.plot([value, value], span, **bound_look(name)[1], label=name, zorder=1)
 
 
-def _names(table: pd.DataFrame, width: str) -> list[str]:
-    """The methods' names with their numbers of failed runs: wrapped, or cut if there are many."""
-    names = []
+def _names(group: Drawn, width: str) -> list[str]:
+    """The names of the rows with the numbers of failed runs: wrapped, or cut if there are many."""
+    names: list[str] = []
+    alone, together = _split(group, None)
+    table = group.table.set_index("method", drop=False).loc[alone]
     for row in table.to_dict("records"):
         failed = f" ({row['failed']} of {row['runs']} failed)" if row["failed"] else ""
         if len(table) > LONG:
             names.append(short(row["method"], NAME[width] + 2 - len(failed) // 2) + failed)
         else:
             names.append(plain("\n".join(textwrap.wrap(f"{row['method']}{failed}", NAME[width]))))
-    return names
+    return [*names, f"{len(together)} other methods"] if together else names
 
 
 # --- both ----------------------------------------------------------------------------------------------------------
@@ -268,17 +310,40 @@ def _scale(axes: Sequence[Axes], which: Literal["x", "y"], metric: Metric, parts
         top = next((top for top in (4, 10, 20, 50) if top >= worst), 100)
         for ax in axes:
             getattr(ax, f"set_{which}lim")(-0.06 * top, 1.06 * top)
-            getattr(ax, f"set_{which}ticks")([0, top // 2, top])
+            getattr(ax, f"set_{which}ticks")([0, top // 2, top] if which == "y" else [0, top])
         return
     columns = [metric.column, f"{metric.column}_low", f"{metric.column}_high", *metric.bounds]
     error_axis(axes, which, [v for part in parts for name in columns if name in part.table for v in part.table[name]])
 
 
-def _legend(figure: Figure, parts: list[Drawn], metrics: list[Metric], *, joined: bool, methods: bool = True) -> None:
-    handles = method_handles(parts[0], joined) if methods else {}
-    for name in dict.fromkeys(name for metric in metrics for name in metric.bounds):
-        if any(len(part.bound(name)) for part in parts):
-            text, look = bound_look(name)
-            handles[text] = Line2D([], [], **look)
+def _legend(
+    figure: Figure,
+    parts: list[Drawn],
+    metrics: list[Metric],
+    *,
+    joined: bool,
+    methods: bool = True,
+    but: Collection[str] = (),
+) -> None:
+    """Add the legend. but: methods that are named in the panels."""
+    shown = set(parts[0].methods) - set(but)
+    handles = method_handles(parts[0], joined, shown) if methods and shown else {}
+    handles |= bound_handles(parts, metrics)
     if handles:
-        legend_below(figure, handles)
+        legend_below(figure, handles, below_bound(parts, metrics))
+
+
+def bound_handles(parts: list[Drawn], metrics: Sequence[Metric]) -> dict[str, Artist]:
+    """The legend entries of the bounds that are drawn."""
+    names = dict.fromkeys(name for metric in metrics for name in metric.bounds)
+    found = [bound_look(name) for name in names if any(len(part.bound(name)) for part in parts)]
+    return {text: Line2D([], [], **look) for text, look in found}
+
+
+def below_bound(parts: list[Drawn], metrics: Sequence[Metric]) -> str:
+    """Why an error can be below the Cramér–Rao bound, if one of those that are drawn is."""
+    shown = [(part.table, metric.column, bound) for part in parts for metric in metrics for bound in metric.bounds]
+    for table, column, bound in shown:
+        if bound.startswith("crb") and bound in table and (table[column] < BELOW * table[bound]).any():
+            return BIAS
+    return ""

@@ -16,8 +16,9 @@ from .axes import error_axis, new_figure
 from .data import Drawn, chosen
 from .drawing import Drawing, NotDrawnError
 from .error import heading
+from .highlights import listed
 from .labels import plain, short
-from .style import GREY, WIDTHS
+from .style import GREY, PALE, WIDTHS
 from .target_axes import axis_of, gap_note, hits_on, reached, target_of
 
 __all__ = ["ert_figure"]
@@ -47,19 +48,24 @@ def ert_figure(study: Drawn, how: Drawing) -> Figure:
     column = "ert_s" if axis == "seconds" else "ert"
     overall = target_table(hits, ["method"]).set_index("method")
     order = overall.sort_values([column, "share"], ascending=[True, False], kind="stable").index.tolist()
+    order, rest = listed(order, study.coloured)
     table = target_table(hits) if study.swept else overall.reset_index()
     headings = [heading(part, (44 if how.width == "single" else 100) // len(parts)) for part in parts]
     above = LINE * max(map(len, headings)) + LINE * bool(unreached)
-    figure = new_figure(WIDTHS[how.width], ROW * len(order) + above + 0.5, study.title)
+    figure = new_figure(WIDTHS[how.width], ROW * (len(order) + bool(rest)) + above + 0.5, study.title)
     axes = figure.subplots(1, len(parts), sharey=True, sharex=True, squeeze=False)[0]
     for ax, part, lines in zip(axes, parts, headings, strict=True):
-        _draw(ax, part, part.at(table).set_index("method"), order, column)
+        own = part.at(table).set_index("method")
+        _draw(ax, part, own, order, column)
+        if rest:
+            _draw_together(ax, own, rest, len(order), column)
         ax.set_title("\n".join(lines), loc="left")
     values = table[[column, f"{column}_low", f"{column}_high"]].to_numpy(dtype=np.float64)
     most = FAR * values[:, 0][np.isfinite(values[:, 0])].max()
     error_axis(axes, "x", values[(values <= most) & (values > 0)])
-    axes[0].set_yticks(range(len(order)), [short(name, NAME[how.width]) for name in order])
-    axes[0].set_ylim(len(order) - 0.4, -0.6)
+    names = [short(name, NAME[how.width]) for name in order] + [f"{len(rest)} other methods"] * bool(rest)
+    axes[0].set_yticks(range(len(names)), names)
+    axes[0].set_ylim(len(names) - 0.4, -0.6)
     unit = "seconds" if axis == "seconds" else "evaluations"
     remarks = "; ".join(text for text in (gap_note(study, hits), unreached) if text)
     note = f"\n({remarks})" if remarks else ""
@@ -84,3 +90,13 @@ def _draw(ax: Axes, part: Drawn, table: pd.DataFrame, order: list[str], column: 
         ax.hlines([place], row[f"{column}_low"], high, color=colour, linewidth=1.0, zorder=2)
         look = {**style.points, "color": colour, "markersize": 3.0 if style.pale else 4.0}
         ax.plot(row[column], [place], **look, label=plain(name))
+
+
+def _draw_together(ax: Axes, table: pd.DataFrame, names: list[str], place: int, column: str) -> None:
+    """Draw many methods in one row, and say how many of them never reach the target."""
+    values = table.loc[[name for name in names if name in table.index], column].to_numpy(dtype=np.float64)
+    finite = values[np.isfinite(values)]
+    ax.plot(finite, np.full(len(finite), place), "o", color=PALE, markersize=2.5, markeredgewidth=0)
+    if len(finite) < len(values):
+        text = f"{len(values) - len(finite)} never"
+        ax.text(0.98, place, text, color=GREY, va="center", ha="right", transform=ax.get_yaxis_transform())

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+import re
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any, final
 
 import numpy as np
@@ -45,12 +47,22 @@ def plain(text: str) -> str:
 
 
 def short(name: str, most: int) -> str:
-    """A method's name that is cut to this many characters."""
-    return plain(name if len(name) <= most else name[: most - 1] + "…")
+    """A method's name in at most this many characters: without the names of its options, and cut in the middle.
+
+    The end is kept because that is where the names of similar methods differ.
+    """
+    if len(name) > most:
+        name = re.sub(r"\b[A-Za-z_]+=", "", name)
+    if len(name) > most:
+        head = most // 2
+        name = f"{name[: most - 1 - head].rstrip()}…{name[len(name) - head :].lstrip()}"
+    return plain(name)
 
 
-def name_of(key: str) -> str:
-    """A swept key as an axis label: ``array.spacing_wavelengths`` is ``Array spacing [λ]``."""
+def name_of(key: str, given: Mapping[str, str] = MappingProxyType({})) -> str:
+    """A swept key as an axis label: ``array.spacing_wavelengths`` is ``Array spacing [λ]``, unless a label is given."""
+    if key in given:
+        return plain(given[key])
     if key in _NAMES:
         return _NAMES[key]
     words = key.replace(".", "_").split("_")
@@ -59,11 +71,11 @@ def name_of(key: str) -> str:
     return plain(name[:1].upper() + name[1:] + unit)
 
 
-def setting(key: str, value: Any) -> str:
+def setting(key: str, value: Any, given: Mapping[str, str] = MappingProxyType({})) -> str:
     """One value of a swept key as a heading: ``SNR = 20 dB``, or ``κ = ∞`` if the key has a symbol."""
-    name, _, unit = name_of(key).partition(" [")
-    symbol = name.rpartition(" ")[2]
-    return f"{symbol if len(symbol) == 1 else name} = {text_of(value)}{' ' + unit.rstrip(']') if unit else ''}"
+    name, _, unit = name_of(key, given).partition(" [")
+    symbol, unit = name.rpartition(" ")[2], unit.rstrip("]")
+    return f"{symbol if len(symbol) == 1 else name} = {text_of(value)}{' ' * bool(unit and unit != '°')}{unit}"
 
 
 def text_of(value: Any) -> str:

@@ -20,7 +20,7 @@ from nfbench.core import NfbenchError, Picture
 from .axes import legend_below, new_figure
 from .style import GREY, WIDTHS, styled
 
-__all__ = ["localization_figure", "write_localization_figure"]
+__all__ = ["BOX", "ELEMENTS", "TRUTH", "ellipse", "localization_figure", "write_localization_figure"]
 
 VIEWS = ((0, 1), (2, 1), (0, 2))  # horizontal and vertical axis of each panel
 AXES = "xyz"
@@ -112,17 +112,19 @@ def _draw(ax: Axes, picture: Picture, truth: Float[ndarray, "n 3"], view: tuple[
         ax.annotate(str(k), (place[i], place[j]), (4, 4), textcoords="offset points", fontsize=7)
         part = covariance[np.ix_(view, view)]
         if np.isfinite(part).all():
-            ax.add_patch(_ellipse(place[[i, j]], part, factor))
+            ax.add_patch(ellipse(place[[i, j]], part, factor))
     ax.plot(truth[:, i], truth[:, j], **TRUTH, zorder=3)
 
 
-def _ellipse(centre: Float[ndarray, " 2"], covariance: Float[ndarray, "2 2"], factor: int) -> Ellipse:
+def ellipse(
+    centre: Float[ndarray, " 2"], covariance: Float[ndarray, "2 2"], factor: int, colour: str = COLOUR
+) -> Ellipse:
     """The contour at two standard errors along its principal axes."""
     variances, axes = np.linalg.eigh(covariance)
     minor, major = 2 * TWO_SIGMA * factor * np.sqrt(np.maximum(variances, 0.0))
     angle = math.degrees(math.atan2(axes[1, 1], axes[0, 1]))
     xy = float(centre[0]), float(centre[1])
-    return Ellipse(xy, major, minor, angle=angle, fill=False, edgecolor=COLOUR, linewidth=0.8, zorder=3)
+    return Ellipse(xy, major, minor, angle=angle, fill=False, edgecolor=colour, linewidth=0.8, zorder=3)
 
 
 def _sizes(covariances: Float[ndarray, "k 3 3"], views: list[tuple[int, int]]) -> list[float]:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, final
@@ -16,18 +17,24 @@ from matplotlib.lines import Line2D
 from numpy import ndarray
 
 from nfbench.core import NfbenchError, Scenario, Status, explain
-from nfbench.results import Results, cell
+from nfbench.results import Results
 from nfbench.study import load_scenarios, scene_numbers
 
 from .axes import legend_below, new_figure
 from .data import Drawn, key_of
+from .drawing import NotDrawnError
 from .error import named, slug
+from .highlights import by_mean_rank
 from .labels import plain
-from .style import GREY, WIDTHS, Style
+from .localization import ELEMENTS, ellipse
+from .scene import hollow
+from .scenes import picture_of, swept_key
+from .style import GREY, WIDTHS
 
 __all__ = ["few_enough", "position_figures"]
 
 REPETITIONS = 10  # repetitions that are shown; more would hide each other
+METHODS = 4  # whose estimates are shown
 FEW = {"repetitions": 12, "points": 4, "methods": 6}  # largest study whose positions are drawn by default
 COLUMNS = {"single": 3, "double": 6}
 WIDEST = 2.2  # maximum width of a panel [in]
@@ -44,11 +51,15 @@ class _Places:
     truth: true positions in the coordinates of the user, (R, K, 3).
     found: estimated positions by method, (R, K, 3); NaN where there is no estimate.
     origin: point from which ranges are measured, (3,).
+    elements: positions of the elements of the array, (M, 3); none if they are not known.
+    covariances: of an estimate at each true position [m²], (R, K, 3, 3); NaN where they are not known.
     """
 
     truth: Float[ndarray, "r k 3"]
     found: dict[str, Float[ndarray, "r k 3"]]
     origin: Float[ndarray, " 3"]
+    elements: Float[ndarray, "m 3"]
+    covariances: Float[ndarray, "r k 3 3"]
 
 
 def few_enough(study: Drawn) -> bool:
@@ -70,10 +81,10 @@ def position_figures(
     that is not possible, or gives instances other than those of the runs.
     """
     numbers = scene_numbers(manifest)
-    scenarios = {_key(swept.items()): scenario for swept, scenario in load_scenarios(manifest, plugins)}
+    scenarios = {swept_key(swept.items()): scenario for swept, scenario in load_scenarios(manifest, plugins)}
     estimates = dict(results.estimates())
     for part in study.by(study.swept):
-        scenario = scenarios.get(_key((key_of(column), value) for column, value in part.where))
+        scenario = scenarios.get(swept_key((key_of(column), value) for column, value in part.where))
         if scenario is None:
             raise NfbenchError(
                 f"{manifest}: expected the scenario of the runs, found none with {named(part) or 'no sweep'}"
@@ -89,16 +100,14 @@ def position_figures(
             yield stem, _figure(part, places, width)
 
 
-def _key(swept: Iterable[tuple[str, Any]]) -> frozenset[tuple[str, Any]]:
-    return frozenset((key, cell(value)) for key, value in swept)
-
-
 def _redrawn(part: Drawn, scenario: Scenario, numbers: dict[int, int], estimates: dict[str, Any]) -> _Places | None:
     """Redraw the instances of one point, and match the estimates to them; None if they have no positions."""
     runs = part.runs[part.runs["status"] == Status.OK]
     shown = sorted(runs["repetition"].unique())[:REPETITIONS]
     truths: list[ndarray] = []
     found: dict[str, list[ndarray]] = {name: [] for name in part.methods}
+    covariances: list[ndarray] = []
+    elements = np.empty((0, 3))
     for repetition in shown:
         same = runs[runs["repetition"] == repetition]
         seed = int(same["instance_seed"].iloc[0])
@@ -117,17 +126,25 @@ def _redrawn(part: Drawn, scenario: Scenario, numbers: dict[int, int], estimates
                 return None
             truth, matched[run["method"]] = placed[0][:, :3], placed[1][: len(placed[0]), :3]
         truths.append(truth)
+        covariances.append(np.full((len(truth), 3, 3), math.nan))
+        with contextlib.suppress(NotDrawnError):
+            picture = picture_of(instance)
+            elements = picture.elements
+            if picture.covariances.shape == covariances[-1].shape:
+                covariances[-1] = picture.covariances
         for name, places in found.items():
             places.append(matched.get(name, np.full_like(truth, math.nan)))
     if not shown:
         return None
-    return _Places(np.array(truths), {name: np.array(places) for name, places in found.items()}, instance.origin())
+    placed_by = {name: np.array(places) for name, places in found.items()}
+    return _Places(np.array(truths), placed_by, instance.origin(), elements, np.array(covariances))
 
 
 def _figure(part: Drawn, places: _Places, width: str) -> Figure:
     """One column of panels per source: x and y and, unless one coordinate is constant, x and z below them."""
     origin = np.broadcast_to(places.origin, (1, *places.truth.shape[1:]))
-    everything = np.concatenate([places.truth, *places.found.values(), origin])
+    array = np.repeat(places.elements[:, None], places.truth.shape[1], axis=1)
+    everything = np.concatenate([places.truth, *places.found.values(), origin, array])
     low, high = np.nanmin(everything, axis=(0, 1)), np.nanmax(everything, axis=(0, 1))
     views = _views(high - low)
     margin = 0.06 * (high - low).max()
@@ -158,11 +175,23 @@ def _figure(part: Drawn, places: _Places, width: str) -> Figure:
                 ax.set_title(f"Source {k + 1}", loc="left")
     figure.align_ylabels()
     truth = {"True position": Line2D([], [], **TRUTH), "Array origin": Line2D([], [], **ORIGIN)}
-    handles = {**truth, **{name: Line2D([], [], **_hollow(part.styles[name])) for name in part.coloured}}
+    if len(places.elements):
+        truth = {"True position": truth["True position"], "Element": Line2D([], [], **ELEMENTS)}
+    if _visible(places, float((high - low).max())):
+        truth["2 standard errors"] = Line2D([], [], color="0.25", linewidth=0.6)
+    handles = {**truth, **{name: Line2D([], [], **hollow(part.styles[name])) for name in _shown(part)}}
     if part.where:
         figure.suptitle("\n".join(filter(None, [figure.get_suptitle(), named(part)])))
-    legend_below(figure, handles)
+    shown, every = len(_shown(part)), len(part.methods)
+    legend_below(figure, handles, f"The {shown} of {every} methods with the best mean ranks" if shown < every else "")
     return figure
+
+
+def _shown(part: Drawn) -> list[str]:
+    """The methods in colour, or the best few of them, because the estimates of more would hide each other."""
+    if len(part.coloured) <= METHODS:
+        return part.coloured
+    return [name for name in by_mean_rank(part.evidence) if name in part.coloured][:METHODS]
 
 
 def _views(extents: Float[ndarray, " 3"]) -> list[tuple[int, int]]:
@@ -177,17 +206,24 @@ def _views(extents: Float[ndarray, " 3"]) -> list[tuple[int, int]]:
 def _draw(ax: Axes, part: Drawn, places: _Places, k: int, view: tuple[int, int]) -> None:
     """Draw one source in one view: stars, with a line from each star to every method's estimate."""
     i, j = view
-    ax.plot(places.origin[[i]], places.origin[[j]], **ORIGIN, zorder=1)
+    if len(places.elements):
+        ax.plot(places.elements[:, i], places.elements[:, j], **{**ELEMENTS, "zorder": 1})
+    else:
+        ax.plot(places.origin[[i]], places.origin[[j]], **ORIGIN, zorder=1)
+    for place, covariance in zip(places.truth[:, k], places.covariances[:, k], strict=True):
+        own = covariance[np.ix_(view, view)]
+        if np.isfinite(own).all():
+            ax.add_patch(ellipse(place[[i, j]], own, 1, "0.25"))
     truth = places.truth[:, k]
-    for name in part.coloured:
+    for name in _shown(part):
         style = part.styles[name]
         found = places.found[name][:, k]
         ax.plot([truth[:, i], found[:, i]], [truth[:, j], found[:, j]], color=style.colour, linewidth=0.6, zorder=2)
-        ax.plot(found[:, i], found[:, j], **_hollow(style), label=plain(name))
+        ax.plot(found[:, i], found[:, j], **hollow(style), label=plain(name))
     ax.plot(truth[:, i], truth[:, j], **TRUTH, label="truth", zorder=2.5)
 
 
-def _hollow(style: Style) -> dict[str, Any]:
-    """Keywords for hollow markers, through which the star stays visible where the methods agree."""
-    edge = {"markerfacecolor": "none", "markeredgecolor": style.colour, "markeredgewidth": 0.8, "markersize": 4.5}
-    return {**style.points, **edge}
+def _visible(places: _Places, extent: float) -> bool:
+    """Whether an error ellipse can be seen at this scale."""
+    variances = np.einsum("rkii->rki", places.covariances)
+    return bool(np.nanmax(variances, initial=0.0) > (0.005 * extent) ** 2)

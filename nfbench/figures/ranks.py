@@ -18,12 +18,14 @@ from .axes import legend_below, new_figure
 from .data import Drawn, chosen
 from .drawing import Drawing, NotDrawnError
 from .error import named
-from .labels import plain
+from .highlights import listed
+from .labels import plain, short
 from .style import GREY, WIDTHS
 
 __all__ = ["ranks_figure"]
 
 ROW = 0.15  # height of a row [in]
+NAME = {"single": 34, "double": 70}  # characters of a method's name
 AXIS = 0.65  # height of the axis below the rows [in]
 LEAST = 3  # methods; mean ranks of two say no more than who wins how often
 
@@ -38,14 +40,14 @@ def ranks_figure(study: Drawn, how: Drawing) -> Figure:
     blocks = _shown(study, ranking.blocks)
     if not blocks:
         raise NotDrawnError(f"there is no scene on which at least {LEAST} methods ran")
-    heights = [ROW * len(block.methods) + AXIS for _, block in blocks]
+    heights = [ROW * _rows(study, block) + AXIS for _, block in blocks]
     figure = new_figure(WIDTHS[how.width], sum(heights), study.title)
     grid = figure.subplots(len(blocks), 1, squeeze=False, height_ratios=heights)[:, 0]
     for ax, (heading, block) in zip(grid, blocks, strict=True):
         frame = ranking.frame
         for column, value in block.swept.items():
             frame = frame[frame[column] == value]
-        _draw(ax, study, frame.set_index("method"))
+        _draw(ax, study, frame.set_index("method"), NAME[how.width])
         scenes = f"{block.n} scene{'s' * (block.n > 1)}"
         points = f" × {len(block.points)} swept points" if len(block.points) > 1 else ""
         ax.set_title(f"{heading + ': ' if heading else ''}{scenes}{points}", loc="left")
@@ -56,6 +58,11 @@ def ranks_figure(study: Drawn, how: Drawing) -> Figure:
     handles = {"Best set": best, "Not in the best set" if tested else "Too few scenes to rank": rest}
     legend_below(figure, handles if tested else {"Too few scenes to rank": rest})
     return figure
+
+
+def _rows(study: Drawn, block: Block) -> int:
+    alone, together = listed(block.methods, study.coloured)
+    return len(alone) + bool(together)
 
 
 def _shown(study: Drawn, blocks: tuple[Block, ...]) -> list[tuple[str, Block]]:
@@ -71,19 +78,24 @@ def _shown(study: Drawn, blocks: tuple[Block, ...]) -> list[tuple[str, Block]]:
     return found
 
 
-def _draw(ax: Axes, study: Drawn, table: pd.DataFrame) -> None:
+def _draw(ax: Axes, study: Drawn, table: pd.DataFrame, longest: int) -> None:
     """Draw stems from the axis of ranks up to the methods, the best on top."""
     table = table[table["mean_rank"].notna()].sort_values("mean_rank", kind="stable")
     best = table["in_best_set"].fillna(False).astype(bool).to_numpy()
     ranks = table["mean_rank"].to_numpy(dtype=np.float64)
-    rows = np.arange(len(table), 0, -1)
+    alone, together = listed([str(name) for name in table.index], study.coloured)
+    count = len(alone) + bool(together)
+    row_of = dict(zip(alone, range(count, 0, -1), strict=False)) | dict.fromkeys(together, 1)
+    rows = np.array([row_of[str(name)] for name in table.index])
     low, high = float(math.floor(ranks[0])), float(max(math.ceil(ranks[-1]), math.floor(ranks[0]) + 1))
     margin = 0.03 * (high - low)
     for name, rank, row, inside in zip(table.index, ranks.tolist(), rows.tolist(), best.tolist(), strict=True):
         style = study.styles[name]
         colour = GREY if style.pale else style.colour
-        ax.plot([rank, rank, high + margin], [0, row, row], color="0.8", linewidth=0.6, zorder=1)
-        ax.plot(rank, row, **_look(colour, inside), label=plain(name))
+        if name not in together:
+            ax.plot([rank, rank, high + margin], [0, row, row], color="0.8", linewidth=0.6, zorder=1)
+        look = study.styles[name].points if name in together else _look(colour, inside)
+        ax.plot(rank, row, **look, label=plain(name))
     if best.any():
         ax.plot([ranks[best][0], ranks[best][-1]], [0, 0], color="black", linewidth=2.0, zorder=2)
         ax.plot(
@@ -97,17 +109,19 @@ def _draw(ax: Axes, study: Drawn, table: pd.DataFrame) -> None:
             zorder=4,
         )
     ax.set_xlim(low - margin, high + margin)
-    ticks = MaxNLocator(nbins=9, integer=True).tick_values(low, high)
+    ticks = MaxNLocator(nbins=9 if high < 100 else 6, integer=True).tick_values(low, high)
     ax.set_xticks([tick for tick in ticks if low <= tick <= high])
-    ax.set_ylim(0, len(table) + 0.6)
+    ax.set_ylim(0, count + 0.6)
     ax.yaxis.tick_right()
-    ax.set_yticks(rows, [plain(name) for name in table.index])
+    names = [short(name, longest) for name in alone] + [f"{len(together)} other methods"] * bool(together)
+    ax.set_yticks(range(count, 0, -1), names)
     ax.tick_params(axis="y", length=0)
     ax.grid(visible=False)
     for side in ("left", "right", "top"):
         ax.spines[side].set_visible(False)
-    for label, inside in zip(ax.get_yticklabels(), best.tolist(), strict=True):
-        label.set_color("black" if inside or not best.any() else GREY)
+    inside_of = dict(zip(table.index, best.tolist(), strict=True))
+    for label, name in zip(ax.get_yticklabels(), [*alone, *[""] * bool(together)], strict=True):
+        label.set_color("black" if inside_of.get(name, False) or not best.any() else GREY)
 
 
 def _look(colour: str, best: bool) -> dict[str, Any]:

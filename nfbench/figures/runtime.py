@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 
 from .axes import error_axis, legend_below, new_figure, panel_rows, panels
 from .data import Drawn, chosen
 from .drawing import Drawing
-from .error import bound_look, headed, method_handles
+from .error import below_bound, bound_handles, bound_look, headed, method_handles
 from .labels import plain
 from .style import WIDTHS
 
@@ -47,11 +46,7 @@ def runtime_figure(study: Drawn, how: Drawing) -> Figure:
     for ax in left:
         ax.set_ylabel(metric.label)
     for ax in lowest:
-        ax.set_xlabel("Run time [s]")
+        ax.set_xlabel(study.time_label)
     handles = method_handles(study, joined=False)
-    for name in metric.bounds:
-        if any(len(part.bound(name)) for part in parts):
-            text, look = bound_look(name)
-            handles[text] = Line2D([], [], **look)
-    legend_below(figure, handles)
+    legend_below(figure, handles | bound_handles(parts, [metric]), below_bound(parts, [metric]))
     return figure

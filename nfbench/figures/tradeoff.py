@@ -19,7 +19,7 @@ from .data import Drawn, chosen, median_over_scenes
 from .drawing import Drawing, NotDrawnError
 from .error import headed, method_handles
 from .labels import plain
-from .style import WIDTHS
+from .style import GREY, WIDTHS
 from .target_axes import AXIS_LABELS, axis_of
 
 __all__ = ["efficient", "spread_of_costs", "tradeoff_figure"]
@@ -72,7 +72,12 @@ def tradeoff_figure(study: Drawn, how: Drawing) -> Figure:
         ax.set_ylabel(study.median_label)
     for ax in lowest:
         ax.set_xlabel("Median run time [s]" if axis == "seconds" else f"Median {AXIS_LABELS[axis].lower()}")
+    numbers = _numbered(study, tables)
+    for ax, table in zip(axes, tables, strict=True):
+        _write_numbers(ax, table, numbers)
     handles = method_handles(study, joined=_swept(study), names=set(everything["method"]))
+    for name, number in numbers.items():
+        handles[name] = Line2D([], [], color=GREY, marker=f"${number}$", markersize=4.5, linestyle="")
     handles["Efficient"] = Line2D([], [], **RING)
     legend_below(figure, handles)
     return figure
@@ -117,5 +122,24 @@ def _draw(ax: Axes, part: Drawn, table: pd.DataFrame) -> None:
         highs = {what: own[f"{what}_high"].clip(upper=1e6 * own[what].clip(lower=1e-12)) for what in ("cost", "error")}
         ax.hlines(own["error"], own["cost_low"], highs["cost"], color=style.colour, linewidth=0.7, zorder=2)
         ax.vlines(own["cost"], own["error_low"], highs["error"], color=style.colour, linewidth=0.7, zorder=2)
-    best = table[efficient(table["cost"].to_numpy(), table["error"].to_numpy())].sort_values("cost")
+    best = _efficient_of(table)
     ax.plot(best["cost"], best["error"], **RING, zorder=3.5, label="efficient")
+
+
+def _efficient_of(table: pd.DataFrame) -> pd.DataFrame:
+    return table[efficient(table["cost"].to_numpy(), table["error"].to_numpy())].sort_values("cost")
+
+
+def _numbered(study: Drawn, tables: list[pd.DataFrame]) -> dict[str, int]:
+    """Numbers of the efficient methods that are grey, so that the legend can name them."""
+    names = [name for table in tables for name in _efficient_of(table)["method"] if study.styles[name].pale]
+    return {name: number for number, name in enumerate(dict.fromkeys(names), start=1)}
+
+
+def _write_numbers(ax: Axes, table: pd.DataFrame, numbers: dict[str, int]) -> None:
+    best = _efficient_of(table)
+    for name, cost, error in zip(best["method"], best["cost"], best["error"], strict=True):
+        if name in numbers:
+            ax.annotate(
+                str(numbers[name]), (cost, error), (0, 4.5), textcoords="offset points", ha="center", fontsize=6
+            )

@@ -6,12 +6,17 @@ from typing import TYPE_CHECKING, Any
 
 from .choice import print_choice
 from .localization import localization_csv, localization_json, print_localization
+from .publication import TABLE_FORMATS, TABLES, TableFormat, TableName, publication_table
 from .terminal import number_text, print_comparison, print_report, shown, summary_table
 
 if TYPE_CHECKING:
     from .html import html_report, write_html
 
 __all__ = [
+    "TABLES",
+    "TABLE_FORMATS",
+    "TableFormat",
+    "TableName",
     "html_report",
     "localization_csv",
     "localization_json",
@@ -20,6 +25,7 @@ __all__ = [
     "print_comparison",
     "print_localization",
     "print_report",
+    "publication_table",
     "shown",
     "summary_table",
     "write_html",

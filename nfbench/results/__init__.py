@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
-from .cells import cell, from_cell
+from .cells import cell, csv_frame, from_cell
 from .folder import locked, network_file_system, prepare, write_whole
 from .results import Results
 from .store import Store
@@ -34,6 +34,7 @@ __all__ = [
     "cell",
     "choose",
     "compare",
+    "csv_frame",
     "export_coco",
     "export_csv",
     "export_ioh",

@@ -26,14 +26,15 @@ _FORGOTTEN = 1e-9  # of the largest value of a trace, below which differences ar
 class Redrawing:
     """The scenarios and formulations that the manifest in a folder names, and the scenes that they draw.
 
-    folder: results folder; its ``manifest.toml`` is read when something is asked for.
+    folder: results folder; its ``manifest.toml`` is read when something is asked for. manifest: a manifest to read
+    instead.
 
     Whatever cannot be redrawn is None, and ``reasons`` says why: by the label of a formulation, or under "" for the
     scenes. A plugin may have changed since the study ran, so every use is checked against what the run has stored.
     """
 
-    def __init__(self, folder: Path) -> None:
-        self._path = folder / "manifest.toml"
+    def __init__(self, folder: Path, manifest: Path | None = None) -> None:
+        self._path = manifest or folder / "manifest.toml"
         self._instances: OrderedDict[tuple[str, int], Instance | None] = OrderedDict()
 
     @functools.cached_property
@@ -54,6 +55,21 @@ class Redrawing:
     def scenario(self, swept: dict[str, Any]) -> Scenario | None:
         """The scenario at this point of the sweep; None if it is not available."""
         return self._scenarios[0].get(_key(swept))
+
+    @property
+    def formulations(self) -> list[str]:
+        """The labels of the formulations that are available."""
+        return list(self._formulations[0])
+
+    @property
+    def seeds(self) -> dict[int, int]:
+        """The numbers of the scenes by their seeds."""
+        return self._numbers
+
+    @property
+    def points(self) -> list[dict[str, Any]]:
+        """The points of the sweep without what is swept in the budget."""
+        return [json.loads(key) for key in self._scenarios[0]]
 
     def formulation(self, label: str) -> Formulation | None:
         """The formulation with this label; None if it is not available."""

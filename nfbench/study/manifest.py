@@ -11,6 +11,7 @@ from typing import Any, TypeVar
 from nfbench.core import ManifestError, OptionError, Options, PluginError, Scenario, build, relative_to
 from nfbench.plugins import Registry
 
+from .axis_labels import label_problems
 from .claims import claim_of, claim_problems
 from .methods import budget_limits, study_methods
 from .plan import Study, scene_seed
@@ -114,6 +115,8 @@ def _study(
     summary = _table(Summary, manifest.summary, "summary", errors)
     _table(Targets, manifest.targets, "targets", errors)
     proofs = _table(Proofs, manifest.reference, "reference", errors)
+    for key, text in label_problems(manifest.labels, manifest.sweep):
+        errors.add(f"labels.{key}", text)
     for i, table in enumerate(manifest.claim):
         try:
             claim_of(table)

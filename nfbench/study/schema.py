@@ -47,6 +47,8 @@ class Manifest(Options):
     one by which methods are judged. Empty for targets that fit the scenario.
     reference: ``[reference]`` table: whether the optima from which gaps are measured are proven.
     claim: ``[[claim]]`` tables: statements that the results are to confirm or contradict.
+    labels: ``[labels]`` table: labels of the axes of figures, by the swept key or by ``rmse``, ``median`` or
+    ``runtime``.
     """
 
     name: Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$")]
@@ -66,6 +68,7 @@ class Manifest(Options):
     targets: Table = field(default_factory=dict)
     reference: Table = field(default_factory=dict)
     claim: tuple[Table, ...] = ()
+    labels: dict[str, str] = field(default_factory=dict)
 
     def validate(self) -> None:
         tables = {"formulation": self.formulation, "solver": self.solver, "method": self.method, "claim": self.claim}

@@ -11,11 +11,12 @@ import numpy as np
 from jaxtyping import Complex, Float
 from numpy import ndarray
 
-from nfbench import Instance, Localization
+from nfbench import Cut, Instance, Localization
 
 from .arrays import Array
 from .bands import Band
 from .calibration import ALL, calibrated
+from .cuts import landscape_cuts
 from .diagnosis import Reading, describe_sources
 from .geometry import Frame
 from .wavefronts import Manifold
@@ -70,6 +71,13 @@ class ArrayInstance(Instance, ABC):
 
     def origin(self) -> Float[ndarray, " 3"]:
         return self.frame.origin
+
+    def cuts(self) -> tuple[Cut, ...]:
+        """Return cuts of RLS, ESF and the MUSIC spectrum through the true sources; none where they are not known."""
+        theta = self.truth()
+        if theta is None or not len(theta):
+            return ()
+        return landscape_cuts(self.Y, self.manifold, self.lower, self.upper, theta)
 
     def describe(self, estimate: Float[ndarray, "found d"], columns: Mapping[str, float]) -> Localization:
         """Return the positions, standard errors, goodness of fit and warnings of an estimate (K̂, d) [rad, m].

@@ -205,10 +205,10 @@ def test_a_second_key_gives_panels_or_files_if_it_has_many_values(study):
     for ax, noise in zip(figure.axes, (0.0, 0.5), strict=False):
         rows = summary[(summary["scenario.noise"] == noise) & (summary["method"] == "twice + sampler(batch=4)")]
         assert line(ax, "twice + sampler(batch=4)") == ([1, 2, 3], rows["rmse_m"].tolist())
-    results = study("dimension = [1, 2]\nnoise = [0.0, 0.1, 0.2, 0.3, 0.4]\n", repetitions=1)
+    results = study("dimension = [1, 2, 3, 4]\nnoise = [0.0, 0.1, 0.2, 0.3, 0.4]\n", repetitions=1)
     drawn_ = drawings(results, only=("error", "runtime"))
     stems = [stem for stem in drawn_ if stem.startswith("error")]
-    assert stems == [f"error-noise-{noise}" for noise in ("0", "0.1", "0.2", "0.3", "0.4")]
+    assert stems == [f"error-dimension-{dimension}" for dimension in (1, 2, 3, 4)]  # along the longer list
     looks = {
         (label, found.get_color(), found.get_marker())
         for figure in drawn_.values()
@@ -421,7 +421,7 @@ def test_wrong_use_is_exit_code_2_with_a_message(study, tmp_path, monkeypatch, c
     results = study(repetitions=2)
     for arguments, message in (
         (["nowhere"], "expected a results folder with runs.sqlite, found none"),
-        ([results.folder, "--format", "svg,eps"], "expected svg, pdf, png, got 'eps'"),
+        ([results.folder, "--format", "svg,eps"], "expected svg, pdf, png, tex, got 'eps'"),
         ([results.folder, "--width", "triple"], "'triple' is not one of"),
         ([results.folder, "--out", results.folder / "runs.csv"], "runs.csv"),
         ([results.folder, "--positions"], f"pass those that you trust with --plugin: {toy_plugin}"),
@@ -504,7 +504,7 @@ def test_swept_text_that_looks_like_json_or_markup_is_drawn_as_it_is(study, monk
 
 
 def test_equal_file_names_of_different_values_are_numbered(study):
-    results = study("dimension = [1, 2]\nnoise = [0.1, 0.10000001, 0.10000002, 0.10000003]\n", repetitions=1)
+    results = study("dimension = [1, 2, 3, 4, 5]\nnoise = [0.1, 0.10000001, 0.10000002, 0.10000003]\n", repetitions=1)
     stems = [stem for stem in drawings(results, only=("error",)) if stem.startswith("error")]
     assert stems == ["error-noise-0.1", *(f"error-noise-0.1-{number}" for number in (2, 3, 4))]
 

@@ -79,13 +79,7 @@ def describe_sources(
     }
     if len(bands) > 1:
         fit["bins"] = float(len(bands))
-    picture = Picture(
-        elements=frame.outward(manifold.positions),
-        box=tuple(frame.outward(line) for line in _edges(lower, upper)),
-        sources=frame.outward(cartesian(theta)),
-        covariances=covariances,
-        truth=None if truth is None else frame.outward(cartesian(truth)),
-    )
+    picture = _picture(manifold, frame, _edges(lower, upper), theta, covariances, truth)
     notes = mirror_notes(theta, manifold, frame, lower, upper)
     replaces = {OTHER_UNIT: "array: its", "element": "data: element"}  # guesses, and what is said again
     found = [old for new, old in replaces.items() if any(text.startswith(new) for text in diagnosis.warnings)]
@@ -138,6 +132,32 @@ def _bound(
     inverse = solve_triangular(R, np.eye(n))
     C: ndarray = inverse @ inverse.T
     return C
+
+
+def _picture(
+    manifold: Manifold,
+    frame: Frame,
+    edges: list[Float[ndarray, "points 3"]],
+    theta: Float[ndarray, "k d"],
+    covariances: Float[ndarray, "k 3 3"],
+    truth: Float[ndarray, "n d"] | None,
+) -> Picture:
+    return Picture(
+        elements=frame.outward(manifold.positions),
+        box=tuple(frame.outward(line) for line in edges),
+        sources=frame.outward(cartesian(theta)),
+        covariances=covariances,
+        truth=None if truth is None else frame.outward(cartesian(truth)),
+        distances=_distances(manifold),
+        origin=frame.origin,
+    )
+
+
+def _distances(manifold: Manifold) -> tuple[tuple[str, float], ...]:
+    """The Fresnel and the Fraunhofer distance 0.62·√(D³/λ) and 2D²/λ [m] of the diameter D of the array."""
+    Q, wavelength = manifold.positions, manifold.wavelength_m
+    D = 2 * float(np.linalg.norm(Q - Q.mean(axis=0), axis=1).max())
+    return ("Fresnel distance", 0.62 * math.sqrt(D**3 / wavelength)), ("Fraunhofer distance", 2 * D**2 / wavelength)
 
 
 def _inside(theta: Float[ndarray, "k d"], lower: Float[ndarray, " d"], upper: Float[ndarray, " d"]) -> ndarray:
