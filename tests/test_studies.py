@@ -24,7 +24,7 @@ NEW = (  # studies of results/paper that were run with today's seeds and tables
     *("source_number_mismatch", "wavefront_mismatch"),
 )
 IMPAIRMENTS = sorted((PROJECT / "studies" / "impairments").glob("*.toml"))
-FOLDERS = ("paper/*", "impairments/*", "*")
+FOLDERS = ("paper/*", "impairments/*", "learned/*", "*")
 JUDGED = sorted(table for folder in FOLDERS for table in RESULTS.glob(f"{folder}/claims.csv"))
 RELAXATION = PROJECT / "studies" / "relaxation.toml"
 LEARNED = [PROJECT / "studies" / f"{name}.toml" for name in ("learned", "learned_channel")]
