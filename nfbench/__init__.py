@@ -77,6 +77,7 @@ __all__ = [
     "Minimize",
     "Minimum",
     "MissingExtra",
+    "NestedFormulation",
     "NestedSolver",
     "NfbenchError",
     "OneOf",
@@ -101,11 +102,13 @@ __all__ = [
     "choose",
     "combined_info",
     "compiled",
+    "formulation_of",
     "load_kernels",
     "load_study",
     "localize",
     "minimize",
     "nearest",
+    "nested_formulation",
     "nested_solver",
     "procedure",
     "run",
@@ -117,20 +120,32 @@ __all__ = [
 if TYPE_CHECKING:
     from .core.jit import compiled, load_kernels
     from .execution import localize, procedure, run
-    from .plugins import NestedSolver, combined_info, nested_solver, run_part, solver_of
+    from .plugins import (
+        NestedFormulation,
+        NestedSolver,
+        combined_info,
+        formulation_of,
+        nested_formulation,
+        nested_solver,
+        run_part,
+        solver_of,
+    )
     from .results import Results, choose
     from .study import Study, load_study
 
 _PACKAGES = {
+    "NestedFormulation": "plugins",
     "NestedSolver": "plugins",
     "Results": "results",
     "Study": "study",
     "choose": "results",
     "combined_info": "plugins",
     "compiled": "core.jit",
+    "formulation_of": "plugins",
     "load_kernels": "core.jit",
     "load_study": "study",
     "localize": "execution",
+    "nested_formulation": "plugins",
     "nested_solver": "plugins",
     "procedure": "execution",
     "run": "execution",

@@ -74,13 +74,10 @@ def run(
         is_new = store.begin(study, shard)
         store.forget(retry)
         write_whole(folder / "manifest.toml", lambda path: path.write_text(study.manifest, encoding="utf-8"))
-        if kind := network_file_system(folder):
-            log.warning("%s is on a network file system (%s): writing without WAL, which is slower", folder, kind)
+        _log_warnings(log, study, folder)
         todo, proofs = store.open_ordinals(), store.references.open_ordinals()
         total = sum(store.counts().values())
         log.info("%d of %d runs to do, on %s", len(todo), total, cluster or f"{jobs} worker processes")
-        for text in study.warnings:
-            log.warning("%s", text)
         if study.proven:
             log.info("%d of %d optima to prove", len(proofs), study.references)
             total += sum(store.references.counts().values())
@@ -101,6 +98,14 @@ def run(
         if stop():
             raise KeyboardInterrupt
     return results
+
+
+def _log_warnings(log: Logger, study: Study, folder: Path) -> None:
+    """Keep the warnings of a study and of its folder in the log."""
+    for text in study.warnings:
+        log.warning("%s", text)
+    if kind := network_file_system(folder):
+        log.warning("%s is on a network file system (%s): writing without WAL, which is slower", folder, kind)
 
 
 def _store_batches(batches: Batches, store: Store, log: Logger, listener: Listener | None) -> None:

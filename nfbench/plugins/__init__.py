@@ -4,7 +4,17 @@ from __future__ import annotations
 
 from .containment import Containment, moved_up
 from .groups import GROUPS, members
-from .nested_solvers import NestedSolver, combined_info, nested_solver, run_part, solver_of, versions
+from .nested import (
+    NestedFormulation,
+    NestedSolver,
+    combined_info,
+    formulation_of,
+    nested_formulation,
+    nested_solver,
+    run_part,
+    solver_of,
+    versions,
+)
 from .registry import CONTRACTS, Plugin, Registry
 from .rehearsal import rehearse
 from .templates import write_template
@@ -13,12 +23,15 @@ __all__ = [
     "CONTRACTS",
     "GROUPS",
     "Containment",
+    "NestedFormulation",
     "NestedSolver",
     "Plugin",
     "Registry",
     "combined_info",
+    "formulation_of",
     "members",
     "moved_up",
+    "nested_formulation",
     "nested_solver",
     "rehearse",
     "run_part",

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated, ClassVar, final
+from typing import Annotated, ClassVar, NamedTuple, final
 
 import numpy as np
-from jaxtyping import Complex
+from jaxtyping import Complex, Float
 from numpy import ndarray
 
 from nfbench import Formulation, Ge, Gt, Instance, Le, Minimize, Solution
@@ -33,7 +34,7 @@ from ..subspace import decompose
 from ..wavefronts import Amplitude, Wavefront
 from .music import SLOW_S, search_s
 
-__all__ = ["GridRefine"]
+__all__ = ["Fitted", "GridRefine", "errors_of", "fitted"]
 
 MANY = 2 * 10**7  # grid points that may not fit in memory
 
@@ -128,25 +129,53 @@ class GridRefine(Formulation):
 
     def _solve_bands(self, bands: list[Band], instance: ArrayInstance, K: int) -> Solution:
         """Return the minimizer of the sum of the misfits of several frequency bins."""
-        found = [_factors(band.Y, K, self.objective) for band in bands]
-        weights = [1.0] * len(bands) if self.objective == "esf" else noise_weights([band.Y for band in bands], K)
-        fits = [
-            BandFit(math.sqrt(weight) * F, band.manifold)
-            for weight, (F, _, _), band in zip(weights, found, bands, strict=True)
-        ]
+        found = fitted(bands, K, self.objective)
         box = instance.lower, instance.upper
-        best = search_bands_greedily(fits, *box, K, self.density, self.sweeps)
-        theta = best.x.reshape(K, -1)
-        spreads = [weight * (F if G is None else G) for weight, (F, G, _) in zip(weights, found, strict=True)]
-        noise = [
-            SubspaceFit(*fit, *box, sources=K).value(best.x) / weight / max(len(fit.F) - K, 1)
-            if sigma is None
-            else sigma
-            for weight, fit, (_, _, sigma) in zip(weights, fits, found, strict=True)
-        ]
-        variances = [sigma / (2 * band.Y.shape[1]) for sigma, band in zip(noise, bands, strict=True)]
-        C = covariance_of_bands(theta, fits, *box, variances, spreads)
-        return Solution(theta, error_columns(C, theta, *box))
+        theta = search_bands_greedily(found.fits, *box, K, self.density, self.sweeps).x.reshape(K, -1)
+        return Solution(theta, errors_of(found, bands, theta, *box))
+
+
+class Fitted(NamedTuple):
+    """What is fitted in each frequency bin: its weight, F of the misfit, the factor G of its covariance, and σ̂²."""
+
+    weights: list[float]
+    fits: list[BandFit]
+    spreads: list[ndarray]
+    noise: list[float | None]
+
+
+def fitted(bands: Sequence[Band], K: int, objective: Objective) -> Fitted:
+    """Return what is fitted in each frequency bin; the weight of a single bin is 1."""
+    found = [_factors(band.Y, K, objective) for band in bands]
+    equal = objective == "esf" or len(bands) == 1
+    weights = [1.0] * len(bands) if equal else noise_weights([band.Y for band in bands], K)
+    each = list(zip(weights, found, bands, strict=True))
+    return Fitted(
+        weights,
+        [BandFit(math.sqrt(weight) * F, band.manifold) for weight, (F, _, _), band in each],
+        [weight * (F if G is None else G) for weight, (F, G, _), _ in each],
+        [sigma for _, _, sigma in found],
+    )
+
+
+def errors_of(
+    found: Fitted,
+    bands: Sequence[Band],
+    theta: Float[ndarray, "k d"],
+    lower: Float[ndarray, " d"],
+    upper: Float[ndarray, " d"],
+) -> dict[str, float]:
+    """Return the ``error_columns`` of sources at a minimum of the sum of the misfits; σ̂² is J/(M − K) if not given."""
+    K = len(theta)
+    noise = [
+        SubspaceFit(*fit, lower, upper, sources=K).value(theta.ravel()) / weight / max(len(fit.F) - K, 1)
+        if sigma is None
+        else sigma
+        for weight, fit, sigma in zip(found.weights, found.fits, found.noise, strict=True)
+    ]
+    variances = [sigma / (2 * band.Y.shape[1]) for sigma, band in zip(noise, bands, strict=True)]
+    C = covariance_of_bands(theta, found.fits, lower, upper, variances, found.spreads)
+    return error_columns(C, theta, lower, upper)
 
 
 def _factors(

@@ -21,6 +21,7 @@ from ..subspace import signal_subspace
 from ..wavefronts import Amplitude, Manifold, Wavefront
 from .music import SLOW_S, Grid, grid_maxima, search_s
 from .refinement import refine
+from .uniform_line import require_centre, require_quarter_wave, spacing_of, widest_sine
 
 __all__ = ["ModifiedMusic"]
 
@@ -114,30 +115,9 @@ class ModifiedMusic(Formulation):
 
 def _spacing(instance: ArrayInstance, manifold: Manifold) -> float:
     """Return the spacing δ of the elements along y [m]; raises Incompatible if the method does not apply."""
-    if instance.manifold.has_elevation:
-        raise Incompatible("elevation_deg: expected none, as modified MUSIC works in the plane only, got an interval")
-    if not manifold.has_unit_modulus:
-        raise Incompatible(
-            "known_gains, known_coupling, known_noise: expected phases only for modified MUSIC, whose anti-diagonal "
-            "needs responses of modulus 1 in white noise, got more; leave these options out"
-        )
-    Q, wavelength = manifold.positions, instance.manifold.wavelength_m
-    steps = np.diff(Q, axis=0)
-    spacing = float(steps[:, 1].mean())
-    if not np.allclose(steps, [0.0, spacing, 0.0], rtol=0, atol=1e-6 * wavelength):
-        raise Incompatible("array: expected a uniform linear array along y for modified MUSIC, got another geometry")
-    if not np.allclose(Q.mean(axis=0), 0.0, rtol=0, atol=1e-6 * wavelength):
-        raise Incompatible(
-            'array.origin: expected "center" for modified MUSIC, got another origin, for which the phases of elements '
-            "m and M+1−m differ, and sinφ would be estimated as sinφ − (M−1)δ/(2r)"
-        )
-    endfire = np.clip([-np.pi / 2, np.pi / 2], instance.lower[0], instance.upper[0])
-    sin_max = float(np.abs(np.sin([instance.lower[0], instance.upper[0], *endfire])).max())  # sinφ_max
-    if not abs(spacing) < wavelength / (4 * sin_max):
-        raise Incompatible(
-            f"array: expected a spacing below λ/(4·sinφ_max) = {1 / (4 * sin_max):.4g} λ for modified MUSIC, "
-            f"got {abs(spacing) / wavelength:.4g} λ, for which the angles are ambiguous"
-        )
+    spacing = spacing_of(manifold, "modified MUSIC")
+    require_centre(manifold, "modified MUSIC")
+    require_quarter_wave(manifold, spacing, widest_sine(instance.lower, instance.upper), "modified MUSIC")
     return spacing
 
 

@@ -7,14 +7,16 @@ from jaxtyping import Complex, Float
 from numpy import ndarray
 from scipy.optimize import Bounds, minimize
 
-from nfbench import Problem
+from nfbench import Problem, Solution
 
 from ..objectives.conditional_fit import ConditionalFit
+from ..objectives.factors import factor
 from ..objectives.sum_of_fits import SumOfFits
-from ..search import BandFit, resolution, search_bands_locally, search_locally
+from ..search import BandFit, resolution, search_bands_locally, search_locally, standard_errors
+from ..subspace import decompose
 from ..wavefronts import Manifold
 
-__all__ = ["refine", "resolution"]
+__all__ = ["refine", "refine_jointly", "resolution"]
 
 ROUNDS = 10  # L-BFGS-B may end on a narrow ridge after a tiny step; a restart from there makes further progress
 
@@ -45,6 +47,29 @@ def refine(problem: Problem, x: Float[ndarray, " n"], manifold: Manifold) -> Flo
     else:
         refined = search_bands_locally(fits, *box, start, fixed=len(others)).x[others.size :]
     return refined if problem.value(refined) <= problem.value(x) else x
+
+
+def refine_jointly(
+    Y: Complex[ndarray, "m t"],
+    manifold: Manifold,
+    lower: Float[ndarray, " d"],
+    upper: Float[ndarray, " d"],
+    theta: Float[ndarray, "k d"],
+) -> Solution:
+    """Return a local minimizer of weighted subspace fitting (WSF) over all sources, and its standard errors.
+
+    Y: received data, shape (M, T).
+    manifold: array and wavefront model.
+    lower: lower bounds of one source [rad, m].
+    upper: upper bounds of one source [rad, m].
+    theta: sources from which the search starts [rad, m], shape (K, d); they are clipped to the box.
+    """
+    if len(theta) == 0:
+        return Solution(theta)
+    F, noise = factor(Y, len(theta), "wsf"), decompose(Y, len(theta)).noise
+    start = np.clip(theta, lower, upper).ravel()
+    refined = search_locally(F, manifold, lower, upper, start).x.reshape(theta.shape)
+    return Solution(refined, standard_errors(refined, manifold, lower, upper, F, noise, Y.shape[1]))
 
 
 def _manifolds(problem: Problem, manifold: Manifold) -> list[Manifold]:

@@ -287,7 +287,8 @@ class Recorded(Measured):
                 flipped = Y.T[working]
                 reading = replace(reading, transposed=(flipped.conj() if self.conjugate else flipped, 1 - axis))
         if self.failed:
-            notes.append(f"{len(Y) - len(working)} of {len(Y)} elements are left out: {', '.join(map(str, self.failed))}")
+            names = ", ".join(map(str, self.failed))
+            notes.append(f"{len(Y) - len(working)} of {len(Y)} elements are left out: {names}")
         Y = Y[working]
         if not Y.any():
             raise ValueError("expected data other than 0, got zeros only; check which array is read (variable)")

@@ -8,6 +8,7 @@ from .greedy import search_greedily
 from .grid import ResponseGrid, grid_size, resolution_grid, response_grid
 from .kernels import warm_up
 from .local_search import LocalMinimum, resolution, search_locally, unit_of
+from .polar import polar_grid, polar_grid_size
 
 __all__ = [
     "BandFit",
@@ -17,6 +18,8 @@ __all__ = [
     "covariance_of_bands",
     "error_columns",
     "grid_size",
+    "polar_grid",
+    "polar_grid_size",
     "resolution",
     "resolution_grid",
     "response_grid",

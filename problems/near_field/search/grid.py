@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 
@@ -18,7 +18,14 @@ from ..wavefronts import Manifold, Wavefront
 from . import kernels
 from .local_search import resolution
 
-__all__ = ["ResponseGrid", "grid_size", "resolution_grid", "response_grid"]
+__all__ = [
+    "ResponseGrid",
+    "beamwidths_along",
+    "grid_size",
+    "resolution_grid",
+    "response_grid",
+    "spread",
+]
 
 SAMPLES = 61  # directions along each angle at which the beamwidth is computed
 LARGEST_GRID = 10**8  # points, 2.4 GB
@@ -114,7 +121,7 @@ def resolution_grid(
 
     Raises Incompatible if the grid would have more than 10^8 points.
     """
-    sides = _beamwidths(manifold, lower, upper)
+    sides = beamwidths_along(manifold, lower, upper)
     depth = resolution(manifold)[1]
     extents = [*(beamwidths[-1] for _, beamwidths in sides), (1 / lower[-1] - 1 / upper[-1]) / depth]
     counts = [max(math.ceil(extent * density), 1) + 1 for extent in extents]
@@ -126,8 +133,8 @@ def resolution_grid(
         )
     axes = []
     for axis, beamwidths in sides:
-        axes.append(np.interp(_uniform(0.0, beamwidths[-1], density), beamwidths, axis))
-    axes.append(1 / (_uniform(1 / upper[-1] / depth, 1 / lower[-1] / depth, density) * depth))
+        axes.append(np.interp(spread(0.0, beamwidths[-1], density), beamwidths, axis))
+    axes.append(1 / (spread(1 / upper[-1] / depth, 1 / lower[-1] / depth, density) * depth))
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(lower))
 
 
@@ -138,20 +145,26 @@ def grid_size(
     Q = manifold.positions
     outermost = np.unique(np.argmax(Q @ (np.indices((3, 3, 3)).reshape(3, -1) - 1), axis=0))
     few = Manifold(Q[outermost], manifold.wavelength_m, manifold.wavefront, manifold.has_elevation)
-    extents = [beamwidths[-1] for _, beamwidths in _beamwidths(few, lower, upper)]
+    extents = [beamwidths[-1] for _, beamwidths in beamwidths_along(few, lower, upper)]
     extents.append((1 / lower[-1] - 1 / upper[-1]) / resolution(manifold)[1])
     return [max(math.ceil(extent * density), 1) + 1 for extent in extents]
 
 
-def _beamwidths(
-    manifold: Manifold, lower: Float[ndarray, " d"], upper: Float[ndarray, " d"]
+def beamwidths_along(
+    manifold: Manifold,
+    lower: Float[ndarray, " d"],
+    upper: Float[ndarray, " d"],
+    extent: Callable[..., ndarray] = np.ptp,
 ) -> list[tuple[Float[ndarray, " samples"], Float[ndarray, " samples"]]]:
-    """Return, for each angle, samples of it [rad] and the number of beamwidths from the first of them to each."""
+    """Return, for each angle, samples of it [rad] and the number of beamwidths from the first of them to each.
+
+    extent: function of q_m·∂u/∂angle over the elements, along ``axis``, to which a beamwidth is inverse.
+    """
     angles = manifold.dimension - 1
     fine = [np.linspace(low, high, SAMPLES) for low, high in zip(lower[:angles], upper[:angles], strict=True)]
     directions = np.stack([*np.meshgrid(*fine, indexing="ij"), np.ones([SAMPLES] * angles)], axis=-1)
     slopes = direction_derivatives(directions.reshape(-1, angles + 1)) @ manifold.positions.T  # q_m·∂u [m/rad]
-    beams = np.ptp(slopes, axis=-1).reshape(*[SAMPLES] * angles, angles) / manifold.wavelength_m  # [1/rad]
+    beams = extent(slopes, axis=-1).reshape(*[SAMPLES] * angles, angles) / manifold.wavelength_m  # [1/rad]
     found = []
     for i, axis in enumerate(fine):
         rate = beams[..., i].max(axis=tuple(j for j in range(angles) if j != i))
@@ -159,5 +172,6 @@ def _beamwidths(
     return found
 
 
-def _uniform(first: float, last: float, density: float) -> Float[ndarray, " n"]:
+def spread(first: float, last: float, density: float) -> Float[ndarray, " n"]:
+    """Return points from ``first`` to ``last``, as far apart as possible with at least ``density`` per unit."""
     return np.linspace(first, last, max(math.ceil((last - first) * density), 1) + 1)

@@ -1,4 +1,4 @@
-"""Support for solvers that run other solvers: options that hold a solver, and runs on part of a budget."""
+"""Options that hold another solver or formulation, and runs of a solver on part of a budget."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from pydantic import PlainValidator
 
 from nfbench.core import (
     BudgetExhausted,
+    Formulation,
     MeteredProblem,
     OptionError,
     Options,
@@ -22,7 +23,17 @@ from nfbench.core import (
 
 from .registry import Registry
 
-__all__ = ["NestedSolver", "combined_info", "nested_solver", "run_part", "solver_of", "versions"]
+__all__ = [
+    "NestedFormulation",
+    "NestedSolver",
+    "combined_info",
+    "formulation_of",
+    "nested_formulation",
+    "nested_solver",
+    "run_part",
+    "solver_of",
+    "versions",
+]
 
 
 def nested_solver(kind: str, **options: Any) -> PluginOption:
@@ -30,32 +41,61 @@ def nested_solver(kind: str, **options: Any) -> PluginOption:
 
     Raises OptionError if the solver is unknown or not installed, or if its options are invalid.
     """
+    return _nested("solver", kind, options)
+
+
+def nested_formulation(kind: str, **options: Any) -> PluginOption:
+    """Return a registered formulation as the value of a :data:`NestedFormulation` option, e.g. for its default.
+
+    Raises OptionError if the formulation is unknown, or if its options are invalid.
+    """
+    return _nested("formulation", kind, options)
+
+
+def _nested(contract: str, kind: str, options: Mapping[str, Any]) -> PluginOption:
     registry = Registry.present()
     try:
-        return PluginOption(kind, registry.make("solver", kind, options), registry.find("solver", kind).version)
+        return PluginOption(kind, registry.make(contract, kind, options), registry.find(contract, kind).version)
     except PluginError as error:
         raise OptionError("", [("kind", str(error))]) from error
 
 
-def _as_plugin_option(value: Any) -> PluginOption:
+def _as_option(contract: str, value: Any) -> PluginOption:
     if isinstance(value, PluginOption):
         return value
     if not isinstance(value, Mapping):
-        raise ValueError(f"expected a table with the kind of a solver, got {value!r}")
+        raise ValueError(f"expected a table with the kind of a {contract}, got {value!r}")
     kind = value.get("kind")
     if not isinstance(kind, str):
         problem = f"expected a string, got {kind!r}" if "kind" in value else "is required"
-        raise OptionError("", [("kind", f"{problem}; known: {', '.join(Registry.present().names('solver'))}")])
-    return nested_solver(kind, **{name: item for name, item in value.items() if name != "kind"})
+        raise OptionError("", [("kind", f"{problem}; known: {', '.join(Registry.present().names(contract))}")])
+    return _nested(contract, kind, {name: item for name, item in value.items() if name != "kind"})
 
 
-NestedSolver: TypeAlias = Annotated[PluginOption, PlainValidator(_as_plugin_option)]
+def _as_solver(value: Any) -> PluginOption:
+    return _as_option("solver", value)
+
+
+def _as_formulation(value: Any) -> PluginOption:
+    return _as_option("formulation", {"kind": value} if isinstance(value, str) else value)
+
+
+NestedSolver: TypeAlias = Annotated[PluginOption, PlainValidator(_as_solver)]
 """An option whose value is another solver, given as a table such as ``{ kind = "de", population = 20 }``."""
+
+NestedFormulation: TypeAlias = Annotated[PluginOption, PlainValidator(_as_formulation)]
+"""An option whose value is another formulation, given as a name, or as a table such as ``{ kind = "music" }``."""
 
 
 def solver_of(option: PluginOption) -> Solver:
     """Return the solver of a :data:`NestedSolver` option."""
     assert isinstance(option.made, Solver)
+    return option.made
+
+
+def formulation_of(option: PluginOption) -> Formulation:
+    """Return the formulation of a :data:`NestedFormulation` option."""
+    assert isinstance(option.made, Formulation)
     return option.made
 
 
