@@ -24,12 +24,14 @@ NEW = (  # studies of results/paper that were run with today's seeds and tables
     *("source_number_mismatch", "wavefront_mismatch"),
 )
 IMPAIRMENTS = sorted((PROJECT / "studies" / "impairments").glob("*.toml"))
-FOLDERS = ("paper/*", "impairments/*", "*")
+FOLDERS = ("paper/*", "impairments/*", "learned/*", "*")
 JUDGED = sorted(table for folder in FOLDERS for table in RESULTS.glob(f"{folder}/claims.csv"))
 RELAXATION = PROJECT / "studies" / "relaxation.toml"
+LEARNED = [PROJECT / "studies" / f"{name}.toml" for name in ("learned", "learned_channel")]
 WITH_CLAIMS = [
     *MANIFESTS,
     *IMPAIRMENTS,
+    *LEARNED,
     *(PROJECT / "studies" / f"{name}.toml" for name in ("optimizer_choice", "relaxation", "certified", "measured")),
 ]
 DATA = PROJECT / ".." / "shared" / "data"  # of the studies of measured data
@@ -53,7 +55,7 @@ def small(text: str) -> str:
     return re.sub(r"evaluations = (\d+)", lambda budget: f"evaluations = {int(budget[1]) // 60}", text)
 
 
-@pytest.mark.parametrize("manifest", [*MANIFESTS, RELAXATION, *IMPAIRMENTS], ids=lambda path: path.stem)
+@pytest.mark.parametrize("manifest", [*MANIFESTS, RELAXATION, *LEARNED, *IMPAIRMENTS], ids=lambda path: path.stem)
 def test_a_study_runs_from_end_to_end(manifest, tmp_path):
     path = tmp_path / manifest.name
     path.write_text(small(manifest.read_text(encoding="utf-8")), encoding="utf-8")

@@ -39,7 +39,7 @@ def search(problem: Problem) -> None:
 
 
 def test_the_formulations_of_the_near_field_are_found():
-    assert {"nemo", "nemo-niching", "neef", "music", "modified-music", "grid-refine"} <= set(formulations())
+    assert {"nemo", "nemo-niching", "neef", "music", "modified-music", "grid-refine", "learned"} <= set(formulations())
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, complex(0, math.nan)], ids=str)

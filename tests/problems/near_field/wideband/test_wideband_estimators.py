@@ -14,6 +14,7 @@ from nfbench.problems.near_field.enumeration import estimate_sources
 from nfbench.problems.near_field.estimators.alternating_projection import AlternatingProjection
 from nfbench.problems.near_field.estimators.certified import Certified
 from nfbench.problems.near_field.estimators.grid_refine import GridRefine
+from nfbench.problems.near_field.estimators.learned import Learned
 from nfbench.problems.near_field.estimators.modified_music import ModifiedMusic
 from nfbench.problems.near_field.estimators.music import Grid, Music
 from nfbench.problems.near_field.estimators.neef import Neef
@@ -192,7 +193,9 @@ def test_the_estimated_number_is_that_of_all_bins():
 
 
 @pytest.mark.parametrize(
-    "formulation", [Certified(), NemoNiching(), ModifiedMusic()], ids=["certified", "niching", "modified"]
+    "formulation",
+    [Certified(), NemoNiching(), ModifiedMusic(), Learned()],
+    ids=["certified", "niching", "modified", "learned"],
 )
 def test_formulations_of_one_wavelength_refuse_several_bins(formulation):
     with pytest.raises(Incompatible, match=r"bins: expected 1 for [\w-]+, .*, got 3; use neef"):
