@@ -20,7 +20,8 @@ RESULTS = PROJECT / "results"
 MANIFESTS = sorted((PROJECT / "studies" / "paper").glob("*.toml"))
 REFUSED = {"rmse_snr_half": {"modified MUSIC 400×2000"}}  # methods that a study includes to show that they are refused
 NEW = (  # studies of results/paper that were run with today's seeds and tables
-    *("line_of_sight", "penalty", "rmse_snr_quarter", "snr_imbalance", "snr_imbalance_los"),
+    *("line_of_sight", "penalty", "rmse_snr_half", "rmse_snr_quarter"),
+    *("snr_imbalance", "snr_imbalance_los"),
     *("source_number_mismatch", "wavefront_mismatch"),
 )
 IMPAIRMENTS = sorted((PROJECT / "studies" / "impairments").glob("*.toml"))
