@@ -106,10 +106,10 @@ def test_weak_elements_have_names_and_the_flag_that_leaves_them_out(folder):
     Y[10] *= 1e-4
     np.save("two.npy", Y)
     one, two = (" ".join(localize(f"{name}.npy").stdout.split()) for name in ("one", "two"))
-    assert "element 4 (M05), counted from 0, is at least 40 dB weaker" in one
-    assert "leave it out: failed = [4] (--failed 4)" in one
-    assert "elements 4 (M05) and 10 (M11), counted from 0, are at least 40 dB weaker" in two
-    assert "leave them out: failed = [4, 10] (--failed 4,10)" in two
+    assert "element M05 is at least 40 dB weaker than the median of all" in one
+    assert 'leave it out with failed = ["M05"] (--failed M05)' in one
+    assert "elements M05 and M11 are at least 40 dB weaker than the median of all" in two
+    assert 'leave them out with failed = ["M05", "M11"] (--failed M05,M11)' in two
 
 
 @pytest.mark.parametrize(

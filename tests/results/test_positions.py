@@ -145,8 +145,11 @@ def test_the_figure_of_positions_uses_the_coordinates_of_the_array(turned_study)
     ((_, figure),) = figures(turned_study, Drawing(only=("positions",)))
     front, above = [ax for ax in figure.axes if ax.get_visible()][::2]
     assert (front.get_ylabel(), above.get_xlabel(), above.get_ylabel()) == ("y [m]", "x [m]", "z [m]")
-    assert_allclose(front.lines[0].get_xydata(), [[4, -7]], atol=1e-12)  # the origin
-    assert_allclose(above.lines[0].get_xydata(), [[4, 1]], atol=1e-12)
+    elements, heights = front.lines[0].get_xydata(), above.lines[0].get_xydata()
+    assert len(elements) == len(heights) == 12
+    assert_allclose(elements.mean(axis=0), [4, -7], atol=1e-12)
+    assert 0.5 < np.ptp(elements, axis=0).min() <= np.ptp(elements, axis=0).max() < 1
+    assert_allclose(heights, np.column_stack([elements[:, 0], np.ones(12)]), atol=1e-12)
     for ax, truth in ((front, [4.2, -6.9]), (above, [4.2, 2.0])):
         (stars,) = [line for line in ax.lines if line.get_label() == "truth"]
         assert_allclose(stars.get_xydata(), [truth, truth], atol=1e-12)
