@@ -71,7 +71,7 @@ nitpick_ignore_regex = [
     # other libraries, whose inventories cannot be read without a network
     (
         r"py:.*",
-        r"(numpy|np|pandas|pd|matplotlib|jaxtyping|pydantic|annotated_types|typing|pathlib|collections|types)\..*",
+        r"(numpy|np|pandas|pd|matplotlib|jaxtyping|pydantic|annotated_types|typing|pathlib|collections|importlib|types)\..*",
     ),
     (r"py:.*", r"(ndarray|Float|Complex|Int|Figure|Path|DataFrame|Any|Callable|Iterable|Iterator|Sequence|Mapping)"),
     (
