@@ -38,7 +38,7 @@ def nfbench(*arguments, cwd, timeout=120):
 
 @pytest.fixture(autouse=True)
 def same_random_numbers_in_any_order(request):
-    """A generator RNG of a test module starts anew in each test, whichever tests ran before it."""
+    """Each test begins with the same random numbers of its module's generator RNG, whatever ran before."""
     rng = getattr(request.module, "RNG", None)
     if isinstance(rng, np.random.Generator):
         rng.bit_generator.state = STATES.setdefault(request.module.__name__, rng.bit_generator.state)
