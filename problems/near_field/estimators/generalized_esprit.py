@@ -18,7 +18,7 @@ from ..search import warm_up as warm_up_search
 from ..subspace import signal_subspace
 from ..wavefronts import Amplitude, Manifold, Wavefront
 from .mirrored import candidates, confirmed, data_of_mirrored_line, examined, halves, mismatch
-from .music import SLOW_S, Grid, search_s
+from .music import Grid, search_s, warn_of_line_grid
 from .refinement import refine_jointly
 
 __all__ = ["GeneralizedEsprit"]
@@ -82,10 +82,7 @@ class GeneralizedEsprit(Formulation):
         azimuths, ranges = self.grid.counts(2)
         M, K = scenario.array.count, scenario.sources
         seconds = search_s(azimuths, M, K * K) + search_s(ranges * examined(K), M, K)
-        if seconds <= SLOW_S or not self.grid.has_defaults(2):
-            return []
-        text = f"grid: the default of {azimuths} azimuths and {ranges} ranges with {M} elements and {K} sources takes"
-        return [f"{text} about {seconds:,.0f} s per run; set grid to fewer points"]
+        return warn_of_line_grid(self.grid, scenario, seconds)
 
     def solve(self, instance: ArrayInstance, minimize: Minimize) -> Float[ndarray, "k d"] | Solution:
         """Return the sources (K, 2) [rad, m], the best first; fewer if there are fewer peaks.

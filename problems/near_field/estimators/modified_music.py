@@ -19,7 +19,7 @@ from ..enumeration import Criterion, Sources, how_many
 from ..objectives.rls import RLS
 from ..subspace import signal_subspace
 from ..wavefronts import Amplitude, Manifold, Wavefront
-from .music import SLOW_S, Grid, grid_maxima, search_s
+from .music import Grid, grid_maxima, search_s, warn_of_line_grid
 from .refinement import refine
 from .uniform_line import require_centre, require_quarter_wave, spacing_of, widest_sine
 
@@ -71,10 +71,7 @@ class ModifiedMusic(Formulation):
         azimuths, ranges = self.grid.counts(2)
         M, K = scenario.array.count, scenario.sources
         seconds = search_s(azimuths, (M + 1) // 2, K) + search_s(ranges * K, M, K)
-        if seconds <= SLOW_S or not self.grid.has_defaults(2):
-            return []
-        text = f"grid: the default of {azimuths} azimuths and {ranges} ranges with {M} elements and {K} sources takes"
-        return [f"{text} about {seconds:,.0f} s per run; set grid to fewer points"]
+        return warn_of_line_grid(self.grid, scenario, seconds)
 
     def solve(self, instance: ArrayInstance, minimize: Minimize) -> Float[ndarray, "k d"]:
         """Return the sources (K, 2) [rad, m], the highest peak in angle first; fewer if there are fewer peaks.

@@ -27,7 +27,7 @@ from ..subspace import compress, signal_subspace
 from ..wavefronts import Amplitude, Manifold, Wavefront
 from .refinement import refine
 
-__all__ = ["SLOW_S", "Grid", "Music", "grid_maxima", "pick_peaks", "search_s"]
+__all__ = ["SLOW_S", "Grid", "Music", "grid_maxima", "pick_peaks", "search_s", "warn_of_line_grid"]
 
 SAME_PEAK = 0.9999
 """The squared correlation |a₁ᴴa₂|²/(‖a₁‖²‖a₂‖²) above which two refined maxima are considered the same peak.
@@ -163,6 +163,18 @@ class Music(Formulation):
 def search_s(points: int, elements: int, sources: int) -> float:
     """Return about how long a search of a grid takes [s], on one core of a machine of 2020."""
     return points * elements * (ELEMENT_S + ROW_S * sources)
+
+
+def warn_of_line_grid(grid: Grid, scenario: ArrayScenario, seconds: float) -> list[str]:
+    """Return a warning if separate searches in azimuth and range on the default grid take long.
+
+    seconds: how long they take.
+    """
+    if seconds <= SLOW_S or not grid.has_defaults(2):
+        return []
+    (azimuths, ranges), M, K = grid.counts(2), scenario.array.count, scenario.sources
+    text = f"grid: the default of {azimuths} azimuths and {ranges} ranges with {M} elements and {K} sources takes"
+    return [f"{text} about {seconds:,.0f} s per run; set grid to fewer points"]
 
 
 def grid_maxima(
