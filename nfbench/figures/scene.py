@@ -114,7 +114,10 @@ def _draw(
 def _draw_close(
     ax: Axes, part: Drawn, picture: Picture, found: dict[str, Float[ndarray, "n 3"]], k: int, view: tuple[int, int]
 ) -> None:
-    """Draw the surroundings of one source; estimates outside are counted."""
+    """Draw the surroundings of one source; estimates outside are counted.
+
+    They are as wide as the error ellipse needs, or as half of the estimates need if all would be outside.
+    """
     i, j = view
     truth = picture.sources[k]
     covariance = picture.covariances[k][np.ix_(view, view)]
@@ -122,15 +125,20 @@ def _draw_close(
     near = {name: places[k, [i, j]] - truth[[i, j]] for name, places in found.items() if k < len(places)}
     distances = [float(np.abs(d).max()) for d in near.values() if np.isfinite(d).all()]
     half = WINDOW * 2 * math.sqrt(float(np.linalg.eigvalsh(covariance)[-1])) if known else 0.0
-    half = half or 1.2 * (float(np.median(distances)) if distances else 1.0) or 1.0
+    if distances and min(distances) > half:
+        half = 1.2 * float(np.median(distances))
+    half = half or 1.0
     if known:
         ax.add_patch(ellipse(np.zeros(2), covariance, 1, ELLIPSE["color"]))
     for name, place in near.items():
         ax.plot(*place, **hollow(part.styles[name]), label=name)
     ax.plot(0, 0, **TRUTH, zorder=4)
     outside = sum(distance > half for distance in distances)
-    text = f", {outside} outside" if outside else ""
-    ax.set_title(f"Source {k + 1}{text}", loc="left")
+    if outside:
+        ax.annotate(f"{outside} outside", (0.04, 0.95), xycoords="axes fraction", va="top", fontsize=6, zorder=5)
+    ax.set_title(f"Source {k + 1}", loc="left")
     ax.set(xlim=(-half, half), ylim=(-half, half), aspect="equal")
     ax.set(xlabel=f"Δ{AXES[i]} [m]", ylabel=f"Δ{AXES[j]} [m]")
-    ax.locator_params(nbins=4)
+    tick = float(f"{half / 2:.0e}")
+    ax.set_xticks([-tick, tick], [f"−{tick:g}", f"{tick:g}"])  # more would not fit
+    ax.set_yticks([-tick, 0, tick], [f"−{tick:g}", "0", f"{tick:g}"])

@@ -110,7 +110,22 @@ def test_a_scene_shows_the_estimates_of_its_runs_and_counts_those_outside(field)
         assert line(whole, run["method"]) == pytest.approx(found[:, :2])
         for k, ax in enumerate(close):
             assert line(ax, run["method"])[0] == pytest.approx(found[k, :2] - truth[k, :2])
-    assert [ax.get_title("left").partition(",")[0] for ax in close] == ["Source 1", "Source 2"]
+    assert [ax.get_title("left") for ax in close] == ["Source 1", "Source 2"]
+    methods = [run["method"] for run in runs.to_dict("records")]
+    for ax in close:
+        outside = sum(np.abs(line(ax, method)[0]).max() > ax.get_xlim()[1] for method in methods)
+        assert [text.get_text() for text in ax.texts] == ([f"{outside} outside"] if outside else [])
+
+
+def test_where_all_estimates_are_far_a_panel_shows_half_of_them(tmp_path):
+    """Strong fading moves every estimate by many standard errors of line of sight."""
+    (tmp_path / "fading.toml").write_text(
+        FIELD.replace("snr_db = 20.0", 'snr_db = 60.0\nrician_k = 1.0\nfading = "block"')
+    )
+    results = nfbench.run(nfbench.load_study(tmp_path / "fading.toml"), out=tmp_path / "out", jobs=0)
+    for ax in drawings(results, only=("scene",))["scene"].axes[1:]:
+        inside = [np.abs(line(ax, method)[0]).max() <= ax.get_xlim()[1] for method in set(results.runs["method"])]
+        assert np.mean(inside) >= 0.5
 
 
 def test_the_ellipse_of_a_source_is_that_of_its_standard_errors(field):
