@@ -28,7 +28,7 @@ IMPAIRMENTS = sorted((PROJECT / "studies" / "impairments").glob("*.toml"))
 FOLDERS = ("paper/*", "impairments/*", "learned/*", "*")
 JUDGED = sorted(table for folder in FOLDERS for table in RESULTS.glob(f"{folder}/claims.csv"))
 RELAXATION = PROJECT / "studies" / "relaxation.toml"
-LEARNED = [PROJECT / "studies" / f"{name}.toml" for name in ("learned", "learned_channel")]
+LEARNED = [PROJECT / "studies" / f"{name}.toml" for name in ("learned", "learned_channel", "learned_space")]
 WITH_CLAIMS = [
     *MANIFESTS,
     *IMPAIRMENTS,

@@ -91,8 +91,8 @@ RECIPES = {
         PolarGrid(step_u=1 / 16, half_u=15, step_v=0.011, count_v=5, half_w=9),  # the same; λ/r up to 0.044 (0.0442)
         widths=(5, 3, 1, 1),
         hidden=48,
-        scenes=3000,
-        epochs=20,
+        scenes=2400,
+        epochs=14,
         batch=64,
         windows=True,
     ),
