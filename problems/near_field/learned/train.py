@@ -89,10 +89,10 @@ RECIPES = {
     "upa": Recipe(
         SETTINGS["upa"],
         PolarGrid(step_u=1 / 16, half_u=15, step_v=0.011, count_v=5, half_w=9),  # the same; λ/r up to 0.044 (0.0442)
-        widths=(5, 3, 1, 1),
-        hidden=48,
-        scenes=2400,
-        epochs=14,
+        widths=(5, 3, 3, 3, 1, 1),
+        hidden=40,
+        scenes=8000,
+        epochs=40,
         batch=64,
         windows=True,
     ),
