@@ -172,9 +172,9 @@ def _check_box(instance: ArrayInstance, setting: Setting) -> None:
         )
     for name, i in (("azimuth_deg", 0), ("elevation_deg", 1))[: len(lower) - 1]:
         if instance.lower[i] < lower[i] - MARGIN or instance.upper[i] > upper[i] + MARGIN:
-            (low, high), got = np.degrees([lower[i], upper[i]]), np.degrees([instance.lower[i], instance.upper[i]])
+            (low, high), given = np.degrees([lower[i], upper[i]]), np.degrees([instance.lower[i], instance.upper[i]])
             raise Incompatible(
-                f"{name}: expected an interval within [{low:g}, {high:g}], {trained}, got [{got[0]:g}, {got[1]:g}]"
+                f"{name}: expected an interval within [{low:g}, {high:g}], {trained}, got [{given[0]:g}, {given[1]:g}]"
             )
     ratio = instance.manifold.wavelength_m / scenario.wavelength
     nearest, farthest = ratio * lower[-1], ratio * upper[-1]
