@@ -17,15 +17,18 @@ from .data import Drawn, chosen
 from .drawing import Drawing, NotDrawnError
 from .error import heading
 from .highlights import listed
-from .labels import plain, short
+from .labels import plain
 from .style import GREY, PALE, WIDTHS
 from .target_axes import axis_of, gap_note, hits_on, reached, target_of
+from .text import fitted, text_width, wrapped
 
 __all__ = ["ert_figure"]
 
 ROW = 0.15  # height of a row [in]
 LINE = 0.13  # height of a line of text [in]
-NAME = {"single": 30, "double": 60}  # characters of a method's name
+NAME = {"single": 1.7, "double": 3.0}  # width of a method's name with one panel [in]
+SIZE, ROW_SIZE = 7.5, 7.0  # of headings and of the names of rows [pt]
+GAP = 0.12  # around panels [in]
 FAR = 30.0  # times the largest expected running time: where an interval is cut
 
 
@@ -50,9 +53,17 @@ def ert_figure(study: Drawn, how: Drawing) -> Figure:
     order = overall.sort_values([column, "share"], ascending=[True, False], kind="stable").index.tolist()
     order, rest = listed(order, study.coloured)
     table = target_table(hits) if study.swept else overall.reset_index()
-    headings = [heading(part, (44 if how.width == "single" else 100) // len(parts)) for part in parts]
-    above = LINE * max(map(len, headings)) + LINE * bool(unreached)
-    figure = new_figure(WIDTHS[how.width], ROW * (len(order) + bool(rest)) + above + 0.5, study.title)
+    width = WIDTHS[how.width]
+    longest = NAME[how.width] * (0.75 if how.width == "single" and len(parts) > 1 else 1.0)
+    names = [fitted(name, longest, ROW_SIZE) for name in order] + [f"{len(rest)} other methods"] * bool(rest)
+    across = (width - max(text_width(name, ROW_SIZE) for name in names) - GAP) / len(parts) - GAP
+    headings = [heading(part, across) for part in parts]
+    unit = "seconds" if axis == "seconds" else "evaluations"
+    remarks = "; ".join(text for text in (gap_note(study, hits), unreached) if text)
+    note = f"\n({remarks})" if remarks else ""
+    label = wrapped(f"Expected {unit} until {target.label if target else ''}{note}", width - GAP, SIZE)
+    above = LINE * (max(map(len, headings)) + len(label) - 1)
+    figure = new_figure(width, ROW * (len(order) + bool(rest)) + above + 0.5, study.title)
     axes = figure.subplots(1, len(parts), sharey=True, sharex=True, squeeze=False)[0]
     for ax, part, lines in zip(axes, parts, headings, strict=True):
         own = part.at(table).set_index("method")
@@ -63,13 +74,9 @@ def ert_figure(study: Drawn, how: Drawing) -> Figure:
     values = table[[column, f"{column}_low", f"{column}_high"]].to_numpy(dtype=np.float64)
     most = FAR * values[:, 0][np.isfinite(values[:, 0])].max()
     error_axis(axes, "x", values[(values <= most) & (values > 0)])
-    names = [short(name, NAME[how.width]) for name in order] + [f"{len(rest)} other methods"] * bool(rest)
     axes[0].set_yticks(range(len(names)), names)
     axes[0].set_ylim(len(names) - 0.4, -0.6)
-    unit = "seconds" if axis == "seconds" else "evaluations"
-    remarks = "; ".join(text for text in (gap_note(study, hits), unreached) if text)
-    note = f"\n({remarks})" if remarks else ""
-    figure.supxlabel(plain(f"Expected {unit} until {target.label if target else ''}{note}"), fontsize=7.5)
+    figure.supxlabel(plain("\n".join(label)), fontsize=SIZE)
     return figure
 
 

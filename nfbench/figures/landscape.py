@@ -15,7 +15,7 @@ from nfbench.analysis import Minima, find_minima
 from nfbench.core import Cut, NfbenchError, explain
 from nfbench.results import Results
 
-from .axes import legend_below, new_figure
+from .axes import headline, legend_below, new_figure
 from .data import Drawn
 from .drawing import Drawing, NotDrawnError
 from .error import named, slug
@@ -74,7 +74,7 @@ def _figure(part: Drawn, cuts: list[Cut], width: str, seed: int) -> Figure:
     for ax, cut in zip(grid.flat, order, strict=False):
         _draw(figure, ax, cut, find_minima(cut.plane(), STARTS, np.random.default_rng(seed), cut.marks))
     if part.where:
-        figure.suptitle("\n".join(filter(None, [figure.get_suptitle(), named(part)])))
+        headline(figure, named(part))
     handles = {
         "True source": Line2D([], [], **TRUTH),
         "Local minimum": Line2D([], [], **MINIMUM),

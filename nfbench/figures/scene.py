@@ -16,7 +16,7 @@ from numpy import ndarray
 from nfbench.core import Instance, NfbenchError, Picture, Status, explain
 from nfbench.results import Results
 
-from .axes import legend_below, new_figure
+from .axes import headline, legend_below, new_figure
 from .data import Drawn
 from .drawing import Drawing, NotDrawnError
 from .error import named, slug
@@ -85,7 +85,7 @@ def _figure(part: Drawn, picture: Picture, found: dict[str, Float[ndarray, "n 3"
         **{name: Line2D([], [], **hollow(part.styles[name])) for name in part.coloured if name in found},
     }
     if part.where:
-        figure.suptitle("\n".join(filter(None, [figure.get_suptitle(), named(part)])))
+        headline(figure, named(part))
     legend_below(figure, handles, "Below: displacements from each source; ellipses from the Cramér–Rao bound")
     return figure
 
