@@ -44,16 +44,16 @@ def new_figure(width: float, height: float, title: str, compress: bool = False) 
         figsize=(width, height),
         layout=ConstrainedLayoutEngine(w_pad=0.03, h_pad=0.03, compress=compress),
     )
-    headline(figure, title)
+    headline(figure, plain(title))
     return figure
 
 
 def headline(figure: Figure, text: str) -> None:
-    """Add a text to the title of a figure, in as many lines as it needs; the figure grows by their height."""
+    """Add a line of text, as ``plain`` returns it, to the title of a figure, which grows by the height of its lines."""
     before = figure.get_suptitle()
     lines = wrapped(text.replace(" = ", "\u00a0=\u00a0"), figure.get_figwidth() - 2 * _EDGE, _TITLE)
     if lines:
-        figure.suptitle("\n".join([*([before] if before else []), plain("\n".join(lines))]))
+        figure.suptitle("\n".join([*([before] if before else []), *lines]))
         figure.set_figheight(figure.get_figheight() + 0.14 * len(lines))
 
 

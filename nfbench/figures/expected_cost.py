@@ -29,6 +29,7 @@ LINE = 0.13  # height of a line of text [in]
 NAME = {"single": 1.7, "double": 3.0}  # width of a method's name with one panel [in]
 SIZE, ROW_SIZE = 7.5, 7.0  # of headings and of the names of rows [pt]
 GAP = 0.12  # around panels [in]
+TOGETHER = 4  # grey methods that never reach the target and share a row; fewer have rows of their own
 FAR = 30.0  # times the largest expected running time: where an interval is cut
 
 
@@ -51,7 +52,7 @@ def ert_figure(study: Drawn, how: Drawing) -> Figure:
     column = "ert_s" if axis == "seconds" else "ert"
     overall = target_table(hits, ["method"]).set_index("method")
     order = overall.sort_values([column, "share"], ascending=[True, False], kind="stable").index.tolist()
-    order, rest = listed(order, study.coloured)
+    order, rest = _shown(order, overall[column], study)
     table = target_table(hits) if study.swept else overall.reset_index()
     width = WIDTHS[how.width]
     longest = NAME[how.width] * (0.75 if how.width == "single" and len(parts) > 1 else 1.0)
@@ -78,6 +79,15 @@ def ert_figure(study: Drawn, how: Drawing) -> Figure:
     axes[0].set_ylim(len(names) - 0.4, -0.6)
     figure.supxlabel(plain("\n".join(label)), fontsize=SIZE)
     return figure
+
+
+def _shown(order: list[str], costs: pd.Series, study: Drawn) -> tuple[list[str], list[str]]:
+    """The methods with a row of their own, and those that share one: also the grey ones that never reach the target."""
+    alone, rest = listed(order, study.coloured)
+    never = [name for name in alone if name in study.others and not math.isfinite(costs[name])]
+    if len(never) < TOGETHER:
+        return alone, rest
+    return [name for name in alone if name not in never], [*rest, *never]
 
 
 def _draw(ax: Axes, part: Drawn, table: pd.DataFrame, order: list[str], column: str) -> None:

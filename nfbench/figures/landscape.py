@@ -95,8 +95,8 @@ def _draw(figure: Figure, ax: Axes, cut: Cut, found: Minima) -> None:
     bar.outline.set_linewidth(0.6)
     minima, marks = found.places * scale, cut.marks * scale
     ax.plot(marks[:, 0], marks[:, 1], **TRUTH, label="truth")
-    ax.plot(minima[1:, 0], minima[1:, 1], **MINIMUM, label="minima")
-    ax.plot(minima[0, 0], minima[0, 1], **LOWEST, label="lowest")
+    ax.plot(minima[1:, 0], minima[1:, 1], **MINIMUM, label="minima", clip_on=False)  # many are at the edges
+    ax.plot(minima[0, 0], minima[0, 1], **LOWEST, label="lowest", clip_on=False)
     ax.grid(visible=False)
     ax.set(xlim=scale[0] * x[[0, -1]], ylim=scale[1] * y[[0, -1]], xlabel=cut.axes[0], ylabel=cut.axes[1])
     kind = "peaks" if cut.spectrum else "minima"
