@@ -14,6 +14,7 @@ from nfbench.report import publication_table
 LATEX = shutil.which("pdflatex")
 NEEDED = ("IEEEtran.cls", "pgf.sty", "booktabs.sty")
 HOSTILE = r"""50 % & <b>$x_1^2$</b> #1 ~ "{\typeout{EXECUTED}} 数 Größe Łódź ąđ β→∞ ‖ \end{document}"""
+AXIS = r"""50 % & $x_1^2$ #1 ~ "{\typeout{EXECUTED}} 数 ß β"""
 LONG = "A label of a method that is as long as a sentence and has 70 characters"
 STUDY = f"""
 name = "paper"
@@ -32,8 +33,8 @@ range_m = [0.1, 0.5]
 [sweep]
 snr_db = [0, 20]
 [labels]
-snr_db = '{HOSTILE} [dB]'
-rmse = '{HOSTILE} [m]'
+snr_db = '{AXIS} [dB]'
+rmse = '{AXIS} [m]'
 [[method]]
 formulation = "neef"
 solver = "random-search"
