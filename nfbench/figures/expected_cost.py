@@ -20,7 +20,7 @@ from .highlights import listed
 from .labels import plain
 from .style import GREY, PALE, WIDTHS
 from .target_axes import axis_of, gap_note, hits_on, reached, target_of
-from .text import fitted, text_width, wrapped
+from .text import fitted_apart, text_width, wrapped
 
 __all__ = ["ert_figure"]
 
@@ -56,7 +56,7 @@ def ert_figure(study: Drawn, how: Drawing) -> Figure:
     table = target_table(hits) if study.swept else overall.reset_index()
     width = WIDTHS[how.width]
     longest = NAME[how.width] * (0.75 if how.width == "single" and len(parts) > 1 else 1.0)
-    names = [fitted(name, longest, ROW_SIZE) for name in order] + [f"{len(rest)} other methods"] * bool(rest)
+    names = fitted_apart(order, longest, ROW_SIZE) + [f"{len(rest)} other methods"] * bool(rest)
     across = (width - max(text_width(name, ROW_SIZE) for name in names) - GAP) / len(parts) - GAP
     headings = [heading(part, across) for part in parts]
     unit = "seconds" if axis == "seconds" else "evaluations"

@@ -21,7 +21,7 @@ from .error import named
 from .highlights import listed
 from .labels import plain
 from .style import GREY, WIDTHS
-from .text import fitted
+from .text import fitted_apart
 
 __all__ = ["ranks_figure"]
 
@@ -115,7 +115,7 @@ def _draw(ax: Axes, study: Drawn, table: pd.DataFrame, longest: float) -> None:
     ax.set_xticks([tick for tick in ticks if low <= tick <= high])
     ax.set_ylim(0, count + 0.6)
     ax.yaxis.tick_right()
-    names = [fitted(name, longest, ROW_SIZE) for name in alone] + [f"{len(together)} other methods"] * bool(together)
+    names = fitted_apart(alone, longest, ROW_SIZE) + [f"{len(together)} other methods"] * bool(together)
     ax.set_yticks(range(count, 0, -1), names)
     ax.tick_params(axis="y", length=0)
     ax.grid(visible=False)

@@ -10,7 +10,7 @@ from matplotlib.text import Text
 import nfbench
 from nfbench.figures import Drawing, figures, styled
 from nfbench.figures.labels import plain
-from nfbench.figures.text import fitted, text_width, wrapped
+from nfbench.figures.text import fitted, fitted_apart, text_width, wrapped
 
 LONG = "A label of a method WITH WIDE LETTERS, as long as this sentence"
 STUDY = f"""
@@ -67,6 +67,13 @@ def test_a_name_is_cut_only_if_it_is_too_wide():
     found = fitted(LONG, 1.2, 7)
     assert text_width(found, 7) <= 1.2 < text_width(found.replace("…", "xxxx"), 7)
     assert found.startswith("A label") and found.endswith("sentence") and "…" in found
+
+
+def test_names_that_differ_in_the_middle_stay_apart():
+    names = [f"nemo + de(population={n}, strategy=current-to-best/1/bin)" for n in (10, 20, 40)]
+    assert len({fitted(name, 1.2, 7) for name in names}) == 1
+    found = fitted_apart(names, 1.2, 7)
+    assert len(set(found)) == 3 and all(text_width(name, 7) <= 1.2 * 1.45 for name in found)
 
 
 @pytest.mark.parametrize("width", ["single", "double"])
