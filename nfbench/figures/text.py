@@ -23,9 +23,8 @@ def text_width(text: str, points: float) -> float:
     """The width of a line of text [in] in our font at a size [pt]; nothing in it is mathematics."""
     if not text:
         return 0.0
-    width, _, _ = text_to_path.get_text_width_height_descent(
-        text, FontProperties(family=FONT, size=points), ismath=False
-    )  # type: ignore[no-untyped-call]
+    font = FontProperties(family=FONT, size=points)
+    width, _, _ = text_to_path.get_text_width_height_descent(text, font, ismath=False)  # type: ignore[no-untyped-call]
     return float(width) / 72
 
 
