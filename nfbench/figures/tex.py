@@ -125,7 +125,7 @@ def _write(figure: Figure, file: IO[str], stem: str) -> None:
     before = figure.dpi, [text.get_gid() for text in found]
     figure.dpi = DPI
     try:
-        vectors = _Renderer(figure, file)
+        vectors = _Renderer(figure, file)  # type: ignore[no-untyped-call]
         vectors.texts = {f"text{number}": text for number, text in enumerate(found)}
         for name, text in vectors.texts.items():
             text.set_gid(name)
