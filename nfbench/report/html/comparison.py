@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pandas as pd
 
 from nfbench.analysis import ALL, Axis, Block, fixed_budget_table, runtime_distribution
-from nfbench.results import Progress, find_progress
+from nfbench.results import Progress, find_progresses
 
 from .study import Study, number, numbers
 
-__all__ = ["FIGURES", "after_budget", "bound_of", "budgets", "distributions", "measures", "progress", "rank_rows"]
+__all__ = ["FIGURES", "after_budget", "bound_of", "budgets", "distributions", "headings", "measures", "progress", "rank_rows"]
 
 AXES: tuple[Axis, ...] = ("evaluations", "seconds")
 CELLS = 100_000  # numbers of all distributions together
@@ -28,8 +28,8 @@ def measures(study: Study) -> list[dict[str, Any]]:
     median = "median_m" if metres else f"{error}_median"
     unit = " [m]" if metres else ""
     listed: list[tuple[str, str, pd.DataFrame, float]] = [
-        (median, f"Median error{unit}" if metres else f"Median {error}", study.summary, 1.0),
-        (error, f"RMSE{unit}" if metres else f"RMS {error}", study.summary, 1.0),
+        (median, study.label("median", f"Median error{unit}" if metres else f"Median {error}"), study.summary, 1.0),
+        (error, study.label("rmse", f"RMSE{unit}" if metres else f"RMS {error}"), study.summary, 1.0),
         ("median_error_in_bounds", "Median error in bounds", study.summary, 1.0),
     ]
     if metres and (study.summary["outlier_rate"] > 0).any():
@@ -44,7 +44,7 @@ def measures(study: Study) -> list[dict[str, Any]]:
         ]
     listed += [
         ("evaluations", "Evaluations per run", study.summary, 1.0),
-        ("runtime_s", "Time per run [s]", study.summary, 1.0),
+        ("runtime_s", study.label("runtime", "Time per run [s]"), study.summary, 1.0),
     ]
     found = [_measure(study, *each) for each in listed if each[0] in each[2].columns]
     return [each for each in found if any(v not in (None, "inf") for row in each["value"] for v in row)]
@@ -58,7 +58,8 @@ def _measure(study: Study, column: str, name: str, table: pd.DataFrame, factor: 
         if (place := study.place(row)) >= 0:
             for side in arrays:
                 arrays[side][study.index[row["method"]], place] = factor * row[sides[side]]
-    found: dict[str, Any] = {"name": name, "log": factor == 1.0, "bounded": name == "RMSE [m]"}
+    found: dict[str, Any] = {"name": name, "log": factor == 1.0, "bounded": column == "rmse_m"}
+    found["ert"] = column.startswith("ert")
     found |= {
         side: [numbers(row) for row in array]
         for side, array in arrays.items()
@@ -76,6 +77,14 @@ def bound_of(study: Study) -> list[Any] | None:
         if not math.isnan(row["crb_m"]):
             values[study.place(row)] = row["crb_m"]
     return numbers(values)
+
+
+def headings(study: Study) -> dict[str, str]:
+    """The headings of the table of methods that the manifest may name."""
+    unit = " [m]" if study.error == "rmse_m" else ""
+    defaults = {"median": f"median error{unit}", "rms": f"RMS error{unit}", "time": "time per run [s]"}
+    keys = {"median": "median", "rms": "rmse", "time": "runtime"}
+    return {name: study.label(keys[name], default) for name, default in defaults.items()}
 
 
 def rank_rows(study: Study) -> list[dict[str, Any]]:
@@ -156,18 +165,15 @@ def budgets(study: Study) -> list[str]:
     return list(dict.fromkeys([*first, *study.methods]))[:FIGURES]
 
 
-def progress(study: Study, measure: str) -> Progress | None:
-    """How the gap or the error of the runs of ``budgets`` fell; None if no such run has one."""
+def progress(study: Study) -> dict[str, Progress]:
+    """How the error and the gap of the runs of ``budgets`` fell, as far as there are any."""
     evidence, runs = study.evidence, study.evidence.runs
-    if measure == "gap":  # of which the reference may come from a run of another method
-        gaps, bests = evidence.hits.gaps, evidence.hits.bests
-        if gaps is None or bests is None or not np.isfinite(gaps).any():
-            return None
-        runs = runs.assign(optimum=bests - gaps)
-    elif study.error not in runs.columns:
-        return None
-    chosen = runs[runs["method"].isin(budgets(study))]
-    return find_progress(study.results, measure, runs=chosen)  # type: ignore[arg-type]
+    measures: list[Literal["gap", "error"]] = ["error"] if study.error in runs.columns else []
+    gaps, bests = evidence.hits.gaps, evidence.hits.bests
+    if gaps is not None and bests is not None and np.isfinite(gaps).any():
+        measures.append("gap")
+        runs = runs.assign(optimum=bests - gaps)  # of which the reference may come from a run of another method
+    return find_progresses(study.results, measures, runs=runs[runs["method"].isin(budgets(study))])
 
 
 def after_budget(study: Study, found: Progress) -> list[dict[str, Any]]:

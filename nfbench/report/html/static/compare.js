@@ -28,7 +28,7 @@
   };
   const lines = (measure, axis, point) => {
     const places = along(axis, point), key = d.axes[axis], spots = places.map((p, i) => (key.values ? key.values[p] : i));
-    const positive = spots.every((v) => v > 0), log = Boolean(key.values) && positive && !/\[(dB|°)\]/.test(key.name) && Math.max(...spots) >= 20 * Math.min(...spots);
+    const log = Boolean(key.values) && key.log;
     const series = NF.visible().map((m) => ({ method: m, name: d.methods[m], x: spots, y: pick(measure.value[m], places),
       low: pick(measure.low?.[m], places), high: pick(measure.high?.[m], places) }));
     const bound = measure.bounded && d.bound ? pick(d.bound, places) : [], known = bound.filter(Number.isFinite).length;
@@ -49,7 +49,7 @@
     return several && state.axis < d.axes.length ? lines(measure, state.axis, state.point) : dots(measure, state.point);
   });
 
-  const erts = d.measures.filter((m) => m.name.endsWith("(ERT)"));
+  const erts = d.measures.filter((m) => m.ert);
   if (erts.length)
     NF.figure("figure-ert", (draw) => [
       NF.select("Cost and target", erts.map((m) => m.name), state.ert, (v) => { state.ert = v; draw(); }), ...pointSelect("epoint", draw),
