@@ -25,7 +25,18 @@ from .choice_costs import Cell, Points, Request, Setting, settings_of, within
 from .intervals import bounded_mean_interval, mean_pvalue, quantile_interval, share_interval
 from .sign_flips import holm, log_ratios, signed_ranks
 
-__all__ = ["COLUMNS", "EVERYWHERE", "LIKELY", "MEETS", "MISSES", "Verdict", "judge", "place_text", "price_changes", "share_pvalue"]
+__all__ = [
+    "COLUMNS",
+    "EVERYWHERE",
+    "LIKELY",
+    "MEETS",
+    "MISSES",
+    "Verdict",
+    "judge",
+    "place_text",
+    "price_changes",
+    "share_pvalue",
+]
 
 MEETS, LIKELY, MISSES = "meets", "meets in this study", "does not"
 RELIABILITY_PART = 0.8  # of the error probability; the rest is for the comparison of costs

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -15,23 +16,24 @@ from .choice_costs import Points, Request
 
 __all__ = ["Overview", "overview"]
 
-RUNGS = 7  # limits of a ladder
-ROUND = (1.0, 2.0, 5.0)  # times powers of ten, the limits
+RUNGS = 7  # rows of a ladder
+ROUND = (1, 2, 5)  # times powers of ten, the limits
 
 
 @dataclass(frozen=True, eq=False)
 class Overview:
-    """What a study recommends for one target.
+    """What a study recommends for one target. Each row of the tables answers a request of its own.
 
-    choice: the answer without a limit. ladder: what would be recommended within each of some limits, which are round
-    numbers up to the largest budget: ``limit`` in the unit of the choice, and ``setting``, ``verdict``, ``share`` and
-    ``budget`` as in ``Choice.steps``. A limit that gives the answer of the one before has no row. places: the same at
-    each swept point alone: ``place`` instead of ``limit``; empty if there is one point. Each row of both is a request
-    of its own.
+    choice: the answer without a limit. ladder: what would be recommended within round limits, up to the one that gives
+    the same as no limit: ``limit`` in the unit of the choice, and ``setting``, ``verdict``, ``share`` and ``budget`` as
+    in ``Choice.steps``. A limit that gives the answer of the one before has no row. solvers: the same in evaluations
+    among the methods that make any, if the unit of the choice is "s" because others make none. places: what would be
+    recommended at each swept point alone: ``place`` instead of ``limit``; empty if there is one point.
     """
 
     choice: Choice
     ladder: pd.DataFrame
+    solvers: pd.DataFrame
     places: pd.DataFrame
 
 
@@ -39,55 +41,61 @@ def overview(points: Mapping[str, Points], target: str, request: Request, notes:
     """Return what a study recommends for a target. The arguments are those of ``answer``."""
     choice = answer(points, target, request, notes)
     own = points[target]
-    rungs = [(limit, *recommended_row(judge(own, _limited(choice, limit)))) for limit in _limits(own, choice)]
-    rungs = [row for i, row in enumerate(rungs) if not i or row[1:4] != rungs[i - 1][1:4]]
+    solving = own if request.in_seconds or choice.unit == "evaluations" else _with_evaluations(own)
     places = [(place_text(swept), *recommended_row(judge([(swept, cells)], choice.request))) for swept, cells in own]
     return Overview(
         choice,
-        pd.DataFrame(rungs, columns=["limit", *STEPS[1:]]),
+        _ladder(own, choice.request),
+        _ladder(solving if solving is not own else [], request),
         pd.DataFrame(places if len(own) > 1 else [], columns=["place", *STEPS[1:]]),
     )
 
 
-def _limited(choice: Choice, limit: float) -> Request:
-    given = choice.request
-    evaluations, seconds = (given.evaluations, limit) if choice.unit == "s" else (limit, given.seconds)
-    return Request(
-        evaluations,
-        seconds,
-        given.evaluation_cost_s,
-        given.reliability,
-        given.parallel,
-        given.confidence,
-        given.timed,
-    )
+def _with_evaluations(points: Points) -> Points:
+    """The methods that make evaluations."""
+    return [
+        (swept, {method: cell for method, cell in cells.items() if cell.end_evaluations.any()})
+        for swept, cells in points
+    ]
 
 
-def _limits(points: Points, choice: Choice) -> list[float]:
-    """Round limits from that of the cheapest first hits to the largest cost of a run, at most ``RUNGS`` of them."""
+def _ladder(points: Points, request: Request) -> pd.DataFrame:
+    rows: list[tuple[Any, ...]] = []
+    limits = _limits(points, request)
+    last = recommended_row(judge(points, request)) if limits else ()
+    for limit in limits:
+        row = recommended_row(judge(points, _limited(request, limit)))
+        if not rows or row[:3] != rows[-1][1:4]:
+            rows.append((limit, *row))
+        if row[:3] == last[:3]:
+            break
+    return pd.DataFrame(rows[-RUNGS:], columns=["limit", *STEPS[1:]])
+
+
+def _limited(request: Request, limit: float) -> Request:
+    return replace(request, **{"seconds" if request.in_seconds else "evaluations": limit})
+
+
+def _limits(points: Points, request: Request) -> list[float]:
+    """Round limits, from the smallest median cost of the hits of a method to the largest cost of a run."""
     low, high = math.inf, 0.0
-    for ends, hits in _costs(points, choice):
+    for ends, hits in _costs(points, request):
         low, high = min(low, hits), max(high, ends)
     if not 0 < low <= high:
         return []
     exponents = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
-    rungs = [float(f"{factor * 10.0**k:.12g}") for k in exponents for factor in ROUND]
-    rungs = [rung for rung in rungs if low <= rung < high]
-    top = float(high) if choice.unit == "evaluations" else next(
-        float(f"{factor * 10.0**k:.12g}") for k in exponents for factor in (*ROUND, 10.0) if factor * 10.0**k >= high
-    )
-    return [*rungs[len(rungs) - RUNGS + 1 if len(rungs) >= RUNGS else 0 :], top]
+    rungs = [float(f"{factor}e{k}") for k in exponents for factor in ROUND]
+    return [*(rung for rung in rungs if low <= rung < high), high]
 
 
-def _costs(points: Points, choice: Choice) -> Iterator[tuple[float, float]]:
-    """The largest cost of a run of each method at each point, and the smallest median cost of its hits."""
+def _costs(points: Points, request: Request) -> Iterator[tuple[float, float]]:
+    """The largest cost of a run of each method at each point, and the median cost of its hits."""
     for _, cells in points:
         for cell in cells.values():
-            if choice.unit == "s":
-                cost_s = choice.request.evaluation_cost_s
+            if request.in_seconds:
+                cost_s = request.evaluation_cost_s
                 ends, hits = cell.seconds(cost_s, end=True), cell.seconds(cost_s)[cell.hit]
             else:
                 ends, hits = cell.end_evaluations, cell.evaluations[cell.hit]
-            hits = hits[hits > 0]
-            if hits.size:
+            if hits.size and (hits > 0).all():
                 yield float(ends.max()), float(np.median(hits))

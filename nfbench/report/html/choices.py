@@ -45,13 +45,18 @@ def _shown(study: Study, found: Overview) -> dict[str, Any]:
         "swept": len(study.points) > 1,
         "methods": [_method(row, choice.unit) for row in rows],
         "left": len(choice.frame) - len(rows),
-        "ladder": [{"where": _amount(row["limit"], choice.unit), **_step(row, choice.unit)} for row in _rows(found.ladder)],
+        "ladder": _ladder(found.ladder, choice.unit),
+        "solvers": _ladder(found.solvers, "evaluations"),
         "places": [{"where": printable(row["place"]), **_step(row, choice.unit)} for row in _rows(found.places)],
         "prices": _prices(choice.prices),
         "command": printable(
             f"nfbench choose {shlex.quote('results/' + name)} --target {shlex.quote(printable(choice.target))}"
         ),
     }
+
+
+def _ladder(frame: pd.DataFrame, unit: str) -> list[dict[str, str]]:
+    return [{"where": _amount(row["limit"], unit), **_step(row, unit)} for row in _rows(frame)]
 
 
 def _rows(frame: pd.DataFrame) -> list[dict[Any, Any]]:

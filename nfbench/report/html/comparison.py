@@ -14,7 +14,17 @@ from nfbench.results import Progress, find_progresses
 
 from .study import Study, number, numbers
 
-__all__ = ["FIGURES", "after_budget", "bound_of", "budgets", "distributions", "headings", "measures", "progress", "rank_rows"]
+__all__ = [
+    "FIGURES",
+    "after_budget",
+    "bound_of",
+    "budgets",
+    "distributions",
+    "headings",
+    "measures",
+    "progress",
+    "rank_rows",
+]
 
 AXES: tuple[Axis, ...] = ("evaluations", "seconds")
 CELLS = 100_000  # numbers of all distributions together
@@ -151,12 +161,13 @@ def distributions(study: Study) -> dict[str, list[list[dict[int, Any]]]]:
 
 def _enter(study: Study, points: list[dict[int, Any]], table: pd.DataFrame, axis: Axis, method: int) -> None:
     """Enter the curves of one method and target, without the costs at which nothing changes."""
-    parts = [rows for _, rows in table.groupby(study.swept, sort=False)] if study.swept else [table]
-    for rows in parts:
-        share = (1000 * rows["share"].to_numpy(dtype=np.float64)).round().astype(int)
-        kept = np.append(True, np.diff(share) != 0)
+    places = np.array(study.places(table))
+    shares = (1000 * table["share"].to_numpy(dtype=np.float64)).round().astype(int)
+    costs = table[axis].to_numpy(dtype=np.float64)
+    for rows in np.split(np.arange(len(table)), np.flatnonzero(np.diff(places)) + 1):
+        kept = np.append(True, np.diff(shares[rows]) != 0)
         kept[-1] = True
-        points[study.place(rows.iloc[0].to_dict())][method] = [numbers(rows[axis][kept]), share[kept].tolist()]
+        points[places[rows[0]]][method] = [numbers(costs[rows][kept]), shares[rows][kept].tolist()]
 
 
 def budgets(study: Study) -> list[str]:

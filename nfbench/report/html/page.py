@@ -88,6 +88,7 @@ def _context(study: Study, redrawn: Redrawn) -> dict[str, Any]:
         "claims": study.evidence.claims().to_dict("records"),
         "failures": _failures(runs),
         "proofs": _proofs(study),
+        "contradicted": _contradicted(study),
         "scenario": provenance.scenario_rows(study.results.folder, study.labels),
         "array": _array_facts(redrawn),
         "reason": redrawn.reason,
@@ -178,9 +179,10 @@ def _fails(study: Study, method: str) -> str:
         total, target = total + len(each.scenes), each.target or target
         missed += [(label, scene) for scene in np.array(each.scenes)[each.hits[:, i] < each.runs[i]]]
     goal = study.goal(target) or "an estimate"
-    if not missed:
-        return f"{method} misses {goal} in none of the {total} scenes of the study."
     single = len(study.points) == 1
+    if not missed:
+        where = "" if single else f", {total // len(study.points)} at each of {len(study.points)} swept points"
+        return f"{method} misses {goal} in none of {total} scenes{where}."
     listed = ", ".join(f"{scene}" if single else f"{scene} ({label})" for label, scene in missed[:NAMED])
     more = f" and {len(missed) - NAMED} more" if len(missed) > NAMED else ""
     return f"{method} misses {goal} in {len(missed)} of {total} scenes: {listed}{more}."
@@ -207,16 +209,19 @@ def _failures(runs: pd.DataFrame) -> list[dict[str, Any]]:
     return sorted(found, key=lambda each: -each["runs"])[:MESSAGES]
 
 
-def _proofs(study: Study) -> list[str]:
+def _proofs(study: Study) -> str:
     references = study.evidence.references
     if not len(references):
-        return []
-    wrong = study.evidence.contradictions
-    found = [f"{int(references['certified'].sum()) - len(wrong)} of {len(references)} optima are proven."]
-    return found + [
+        return ""
+    proven = int(references["certified"].sum()) - len(study.evidence.contradictions)
+    return f"In this study, {proven} of {len(references)} optima are proven."
+
+
+def _contradicted(study: Study) -> list[str]:
+    return [
         f"A certificate is wrong: {printable(row['contradicted_by'])} found a value below the certified optimum of "
         f"scene {row['scene']}."
-        for row in wrong.head(NAMED).to_dict("records")
+        for row in study.evidence.contradictions.head(NAMED).to_dict("records")
     ]
 
 

@@ -48,7 +48,9 @@ def scenario_rows(folder: Path, labels: Mapping[str, str]) -> list[tuple[str, st
     rows = [(key, _value(value)) for key, value in scenario.items()] if isinstance(scenario, dict) else []
     if isinstance(sweep, dict):
         named = {key: labels.get(key.removeprefix("scenario."), "") for key in sweep}
-        rows += [(f"swept: {key}", _value(value) + f" ({named[key]})" * bool(named[key])) for key, value in sweep.items()]
+        rows += [
+            (f"swept: {key}", _value(value) + f" ({named[key]})" * bool(named[key])) for key, value in sweep.items()
+        ]
     return [(printable(key), printable(value, 400)) for key, value in rows]
 
 

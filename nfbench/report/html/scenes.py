@@ -113,7 +113,9 @@ def places(study: Study, redrawn: Redrawn, scenes: Scenes) -> dict[int, dict[int
     for row in rows:
         pair = redrawn.positions(study.place(row), row, estimates.get(row["run_id"]), study.error)
         if pair is not None:
-            scene = found.setdefault(study.place(row), {}).setdefault(int(row["scene"]), {"truth": _triples(pair[0]), "found": {}})
+            scene = found.setdefault(study.place(row), {}).setdefault(
+                int(row["scene"]), {"truth": _triples(pair[0]), "found": {}}
+            )
             scene["found"][study.index[row["method"]]] = _triples(pair[1])
     return found
 

@@ -59,7 +59,7 @@
     const star = ([x, y]) => [["#000", 4], ["#fff", 1.8]].map(([colour, width]) => NF.el("path", { d: NF.shape("star", px(x), py(y), 5), fill: "none", stroke: colour, "stroke-width": width }));
     const svg = NF.el("svg", { viewBox: `0 0 ${l + w + 12} ${h + 8 + b}`, role: "img", "aria-label": `Landscape of ${one.name} in scene ${one.scene}` },
       NF.el("image", { x: l, y: 8, width: w, height: h, preserveAspectRatio: "none", href: `data:image/png;base64,${one.png}` }),
-      NF.el("rect", { x: l, y: 8, width: w, height: h, fill: "none", stroke: "currentColor" }), ring(4, "#000"), ring(2, "#fff"), one.marks.map(star),
+      NF.el("rect", { x: l, y: 8, width: w, height: h, fill: "none", stroke: "currentColor" }), ring(4, "#000"), ring(2, "#fff"), one.marks.flatMap(star),
       text(px(x0), h + 24, NF.text(x0), "start"), text(px(x1), h + 24, NF.text(x1), "end"), text(l + w / 2, h + 38, one.axes[0]),
       text(l - 5, py(y0), NF.text(y0), "end"), text(l - 5, py(y1) + 10, NF.text(y1), "end"), NF.el("text", { transform: `translate(14 ${8 + h / 2}) rotate(-90)`, "text-anchor": "middle", "font-size": 12, fill: "currentColor" }, one.axes[1]));
     const where = `scene ${one.scene}${d.points.length > 1 ? `, ${d.points[one.point]}` : ""}`, fixed = one.unknowns > 2;
@@ -101,7 +101,7 @@
     detail.replaceChildren(NF.el("h3", {}, `Scene ${state.scene}${d.points.length > 1 ? ` at ${d.points[state.point]}` : ""}`), controls, NF.el("div", { class: "pair" },
       NF.el("div", {}, NF.el("h4", {}, "Truth and estimates"), plane), NF.el("div", {}, NF.el("h4", {}, "Traces"), curves)), keys,
     NF.el("div", { class: "scroll" }, errors),
-    lands.length ? NF.el("div", { class: "pair" }, lands.map(picture))
+    lands.length ? NF.el("div", { class: "pair three" }, lands.map(picture))
       : NF.el("p", { class: "note" }, d.landscapes.length ? `There is a picture of the landscape for the scenes ${[...new Set(elsewhere)].join(", ") || "of other points"} only.` : "There is no picture of the landscape."));
     if (place) positions(plane, place, NF.visible(), []);
     else plane.append(NF.el("p", { class: "empty" }, document.body.dataset.reason || "The positions of this scene are not in this page."));
