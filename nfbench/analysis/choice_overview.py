@@ -26,7 +26,8 @@ class Overview:
 
     choice: the answer without a limit. ladder: what would be recommended within round limits, up to the one that gives
     the same as no limit: ``limit`` in the unit of the choice, and ``setting``, ``verdict``, ``share`` and ``budget`` as
-    in ``Choice.steps``. A limit that gives the answer of the one before has no row. solvers: the same in evaluations
+    in ``Choice.steps``. A limit that
+    gives the answer of the one before, or within which no scene is solved, has no row. solvers: the same in evaluations
     among the methods that make any, if the unit of the choice is "s" because others make none. places: what would be
     recommended at each swept point alone: ``place`` instead of ``limit``; empty if there is one point.
     """
@@ -65,7 +66,7 @@ def _ladder(points: Points, request: Request) -> pd.DataFrame:
     last = recommended_row(judge(points, request)) if limits else ()
     for limit in limits:
         row = recommended_row(judge(points, _limited(request, limit)))
-        if not rows or row[:3] != rows[-1][1:4]:
+        if row[2] > 0 and (not rows or row[:3] != rows[-1][1:4]):
             rows.append((limit, *row))
         if row[:3] == last[:3]:
             break

@@ -17,7 +17,7 @@ def pages(
     names: Sequence[str],
     only: Sequence[str] | None = None,
 ) -> Iterator[list[list[Any]]]:
-    """Yield the columns ``names`` of the finished runs of the plan, page by page, ``ordinal`` and ``run_id`` before them.
+    """Yield ``ordinal``, ``run_id`` and the columns ``names`` of the finished runs of the plan, page by page.
 
     checked: ``Store.checked``. only: identifiers of runs, which are yielded in this order; unknown ones are left out.
     None for all runs, in the order of the plan.

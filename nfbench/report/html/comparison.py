@@ -187,9 +187,19 @@ def progress(study: Study) -> dict[str, Progress]:
     return find_progresses(study.results, measures, runs=runs[runs["method"].isin(budgets(study))])
 
 
+def _budgets(frame: pd.DataFrame) -> list[float]:
+    """1, 2, 5, 10, … and the cap of each method, so that every curve ends at its own budget."""
+    caps = frame["cap"].to_numpy(dtype=np.float64)
+    caps = np.unique(caps[caps > 0])
+    if not len(caps):
+        return [0.0]
+    steps = (float(f"{factor}e{k}") for k in range(math.ceil(math.log10(caps[-1])) + 1) for factor in (1, 2, 5))
+    return sorted({*(step for step in steps if step <= caps[-1]), *caps.tolist()})
+
+
 def after_budget(study: Study, found: Progress) -> list[dict[str, Any]]:
     """The median with its interval after each budget at each point: ``{"x": …, "m": {method: [value, low, high]}}``."""
-    table = fixed_budget_table(found.frame)
+    table = fixed_budget_table(found.frame, _budgets(found.frame))
     points: list[dict[str, Any]] = [{"x": [], "m": {}} for _ in study.points]
     for _, rows in table.groupby([*study.swept, "method"], sort=False):
         first = rows.iloc[0].to_dict()
