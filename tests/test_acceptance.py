@@ -55,7 +55,7 @@ def test_neef_de_at_the_papers_settings_has_a_median_error_under_2_cm(de):
     assert np.median([rmse for rmse, _ in de]) < 0.02
 
 
-@pytest.mark.parametrize("name", ["scipy-de", "cmaes"])
+@pytest.mark.parametrize("name", ["scipy-de", pytest.param("cmaes", marks=pytest.mark.slow)])
 def test_other_global_solvers_reach_the_same_optimum(name, de):
     reached = 0
     for seed in range(10):

@@ -149,7 +149,14 @@ def drawn(rng, reliabilities, scenes, r=1):
     return costs
 
 
-@pytest.mark.parametrize("case", ["all just below", "one good", "two points", "several runs"])
+@pytest.mark.parametrize(
+    "case",
+    [
+        "all just below",
+        "one good",
+        *(pytest.param(case, marks=pytest.mark.slow) for case in ("two points", "several runs")),
+    ],
+)
 def test_what_is_said_to_meet_the_request_does_so_in_at_least_95_percent_of_studies(case):
     """At a reliability of 0.8: methods just below it must not be called reliable, however many there are."""
     rng = np.random.default_rng(7)

@@ -22,7 +22,15 @@ def titled(manifest, **options):
     return path
 
 
-@pytest.mark.parametrize("encoding", ["cp1252", "ascii", "latin-1", "utf-8", "cp437", "ascii:strict"])
+@pytest.mark.parametrize(
+    "encoding",
+    [
+        "cp1252",
+        "utf-8",
+        "ascii:strict",
+        *(pytest.param(e, marks=pytest.mark.slow) for e in ("ascii", "latin-1", "cp437")),
+    ],
+)
 def test_any_encoding_of_standard_output_will_do(manifest, tmp_path, encoding):
     path = titled(manifest)
     for arguments in (("run", path, "--out", "out", "--jobs", 0), ("report", "out"), ("list",), ("status", "out")):

@@ -213,7 +213,9 @@ def test_several_processes_may_start_at_once(tmp_path):
     assert package.run()[:2] == (5.0, True)
 
 
-@pytest.mark.parametrize("damage", ["empty", "truncated", "flipped", "text"])
+@pytest.mark.parametrize(
+    "damage", ["truncated", "flipped", *(pytest.param(kind, marks=pytest.mark.slow) for kind in ("empty", "text"))]
+)
 @pytest.mark.parametrize("suffix", [".nbc", ".nbi"])
 def test_a_damaged_cache_is_compiled_again(tmp_path, suffix, damage):
     package = one_package(tmp_path)

@@ -85,23 +85,24 @@ SOLVERS = {
 }
 
 
-def test_each_hostile_solver_costs_its_own_rows_and_leaves_no_process(manifest, tmp_path, monkeypatch):
+@pytest.mark.parametrize("scenes", [1, pytest.param(2, marks=pytest.mark.slow)])
+def test_each_hostile_solver_costs_its_own_rows_and_leaves_no_process(manifest, tmp_path, monkeypatch, scenes):
     marker = f"NFBENCH_TEST={tmp_path}"
     monkeypatch.setenv("NFBENCH_TEST", str(tmp_path))
-    good = library.run(load_study(manifest(BASIC, repetitions=2)), out=tmp_path / "good", jobs=1)
+    good = library.run(load_study(manifest(BASIC, repetitions=scenes)), out=tmp_path / "good", jobs=1)
     tables = [solver(kind, **({option[0]: option[1]} if option else {})) for kind, *option in SOLVERS]
-    path = manifest(BASIC + "".join(tables), repetitions=2, plugins=[HOSTILE])
+    path = manifest(BASIC + "".join(tables), repetitions=scenes, plugins=[HOSTILE])
     start = time.monotonic()
     results = library.run(load_study(path), out=tmp_path / "out", jobs=1)  # in turn with the good ones, in one worker
     assert time.monotonic() - start < 240
     runs = results.runs
-    assert len(runs) == 2 * (len(SOLVERS) + 1) and "open" not in results.counts
+    assert len(runs) == scenes * (len(SOLVERS) + 1) and "open" not in results.counts
     for (kind, *option), (status, message) in SOLVERS.items():
         rows = runs[runs.solver.str.startswith(kind)]
         if option:
             rows = rows[rows.solver == f"{kind}({option[0]}={option[1]})"]
         rows = rows if len(rows) else runs[runs.solver == kind]  # the default option has no label of its own
-        assert list(rows.status) == [status] * 2, (kind, option, list(rows.status), list(rows.message))
+        assert list(rows.status) == [status] * scenes, (kind, option, list(rows.status), list(rows.message))
         assert all(text.startswith(message) for text in rows.message), (kind, option, list(rows.message))
     assert runs.message.str.encode("utf-8").str.len().max() <= 4096
     assert not runs.message.str.contains("[\x00-\x1f\x7f]", regex=True).any()
@@ -188,7 +189,7 @@ IMPORTS = {
 }
 
 
-@pytest.mark.parametrize("source", IMPORTS)
+@pytest.mark.parametrize("source", [pytest.param(s, marks=[pytest.mark.slow] * (i % 2)) for i, s in enumerate(IMPORTS)])
 def test_a_plugin_that_fails_in_any_way_while_imported_is_left_out_and_the_rest_runs(manifest, tmp_path, source):
     bad = tmp_path / "bad.py"
     bad.write_text(source)

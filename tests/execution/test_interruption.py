@@ -69,8 +69,15 @@ def workers_of(pid):
     return found
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-@pytest.mark.parametrize("everybody", [False, True], ids=["group", "every process"])
+@pytest.mark.parametrize(
+    ("number", "everybody"),
+    [
+        (signal.SIGTERM, True),
+        (signal.SIGINT, False),
+        pytest.param(signal.SIGTERM, False, marks=pytest.mark.slow),
+        pytest.param(signal.SIGINT, True, marks=pytest.mark.slow),
+    ],
+)
 def test_a_signal_to_all_processes_leaves_rows_open_and_not_crashed(slow_study, tmp_path, number, everybody):
     out = tmp_path / "out"
     process = started(slow_study, out)
@@ -91,7 +98,10 @@ def test_a_signal_to_all_processes_leaves_rows_open_and_not_crashed(slow_study, 
     assert done.returncode == 0 and nfbench.Results(out).counts == {"ok": 30}
 
 
-@pytest.mark.parametrize("delay", [0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.8, 1.0, 1.3])
+@pytest.mark.parametrize(
+    "delay",
+    [0.0, 0.3, 0.6, 1.0, *(pytest.param(delay, marks=pytest.mark.slow) for delay in (0.1, 0.2, 0.4, 0.5, 0.8, 1.3))],
+)
 def test_ctrl_c_while_workers_start_shows_no_traceback(slow_study, tmp_path, delay):
     out = tmp_path / "out"
     process = started(slow_study, out)

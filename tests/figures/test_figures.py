@@ -291,7 +291,10 @@ def test_a_log_axis_always_has_labels_and_they_do_not_overlap(values, width):
 @pytest.mark.parametrize("width", ["single", "double"])
 @pytest.mark.parametrize(
     "sweep",
-    ["", "noise = [0.0, 0.25, 1.0]\n", 'names = [["a"], ["b", "c"]]\n', "dimension = [1, 9]\nnoise = [0.0, 0.5]\n"],
+    [
+        *("", "noise = [0.0, 0.25, 1.0]\n", 'names = [["a"], ["b", "c"]]\n'),
+        pytest.param("dimension = [1, 9]\nnoise = [0.0, 0.5]\n", marks=pytest.mark.slow),
+    ],
 )
 def test_no_label_covers_another_or_leaves_the_page(study, sweep, width):
     for stem, figure in drawings(study(sweep), width=width, traces=True).items():

@@ -84,7 +84,12 @@ def alike(first, second):
     return result.pvalue > LEVEL
 
 
-@pytest.mark.parametrize("strategy", typing.get_args(typing.get_type_hints(DE)["strategy"]))
+STRATEGIES = typing.get_args(typing.get_type_hints(DE)["strategy"])
+
+
+@pytest.mark.parametrize(
+    "strategy", [*STRATEGIES[::2], *(pytest.param(strategy, marks=pytest.mark.slow) for strategy in STRATEGIES[1::2])]
+)
 def test_de_agrees_with_scipy(strategy):
     function, n, budget, runs = "ackley", 4, 8000, 40
     a = ours(DE(population=30, strategy=strategy, F=0.6, CR=0.7, bounds="resample"), function, n, budget, runs)

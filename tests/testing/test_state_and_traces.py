@@ -39,7 +39,13 @@ def test_state_that_survives_a_run_is_found(cls, where):
     assert found.message.endswith("must be reset at the start of minimize.")
 
 
-@pytest.mark.parametrize("number", range(len(ACTIONS)), ids=[name.split()[-1] for name in ACTIONS.values()])
+@pytest.mark.parametrize(
+    "number",
+    [
+        pytest.param(number, id=name.split()[-1], marks=[pytest.mark.slow] * (number % 2))
+        for number, name in enumerate(ACTIONS.values())
+    ],
+)
 def test_a_trace_is_found_and_named(number):
     found = result(Leaves(number), "leaves-no-trace")
     assert not found.passed

@@ -269,7 +269,12 @@ def small(**more):
 
 @needs_optuna
 @pytest.mark.parametrize(
-    ("number", "jobs", "then"), [(signal.SIGKILL, 0, 0), (signal.SIGKILL, 2, 2), (signal.SIGINT, 2, 0)]
+    ("number", "jobs", "then"),
+    [
+        (signal.SIGKILL, 2, 2),
+        pytest.param(signal.SIGKILL, 0, 0, marks=pytest.mark.slow),
+        pytest.param(signal.SIGINT, 2, 0, marks=pytest.mark.slow),
+    ],
 )
 def test_a_tuning_that_was_killed_and_resumed_ends_with_the_same_files(path, tmp_path, number, jobs, then):
     plugin = tmp_path / "points.py"

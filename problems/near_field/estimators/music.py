@@ -25,6 +25,7 @@ from ..objectives.sum_of_fits import SumOfFits, together
 from ..search import warm_up as warm_up_search
 from ..subspace import compress, signal_subspace
 from ..wavefronts import Amplitude, Manifold, Wavefront
+from .range_axis import RangeAxis, range_axis
 from .refinement import refine
 
 __all__ = ["SLOW_S", "Grid", "Music", "grid_maxima", "pick_peaks", "search_s", "warn_of_line_grid"]
@@ -41,6 +42,7 @@ BLOCK = 2**17  # grid points computed at once, or those of one azimuth if these 
 
 SLOW_S = 10.0  # time of a run [s] from which a default grid is worth a warning
 ELEMENT_S, ROW_S = 2.5e-9, 0.15e-9  # time per grid point and element, and per dimension of the subspace besides [s]
+POINT_S = 5e-8  # time to look whether a grid point is a maximum [s]
 
 _Points: TypeAlias = Annotated[int, Ge(2), Le(100_000)] | None
 
@@ -99,6 +101,8 @@ class Music(Formulation):
 
     grid: table with the numbers of grid points in azimuth, elevation and range.
     refine: whether to return the refined peaks instead of the grid points.
+    interpolate: whether the spectrum along the range is interpolated from its values at few ranges, which agrees with
+        evaluating every grid point to rounding and takes a fraction of the time.
     wavefront: wavefront model that the estimator assumes, "exact", "fresnel", "paper" or "planar"; None: that of the
         scenario.
     sources: number of sources to search for: "known" is the true number, "estimate" is an estimate from the data by
@@ -118,6 +122,7 @@ class Music(Formulation):
 
     grid: Grid = Grid()
     refine: bool = False
+    interpolate: bool = True
     wavefront: Wavefront | None = None
     sources: Sources = "known"
     criterion: Criterion = "ne"
@@ -137,6 +142,12 @@ class Music(Formulation):
         seconds = search_s(math.prod(counts), scenario.array.count, scenario.sources) * scenario.bins
         if seconds <= SLOW_S or not self.grid.has_defaults(d):
             return []
+        if self.interpolate:
+            axes = self.grid.axes(*scenario.box())
+            evaluated = len(range_axis([scenario.manifold().under(self.wavefront)], axes).ranges)
+            seconds = seconds * evaluated / counts[-1] + math.prod(counts) * POINT_S
+            if seconds <= SLOW_S:
+                return []
         size = " × ".join(map(str, counts))
         names = "azimuth and range" if d == 2 else "azimuth, elevation and range"
         text = f"grid: the default of {size} points with {scenario.array.count} elements takes about {seconds:,.0f} s"
@@ -153,7 +164,7 @@ class Music(Formulation):
             return np.empty((0, instance.manifold.dimension))
         axes = self.grid.axes(instance.lower, instance.upper)
         bins = [(signal_subspace(band.Y, K), band.manifold) for band in calibrated(instance, self)]
-        maxima = grid_maxima(bins, axes, KEEP)
+        maxima = grid_maxima(bins, axes, KEEP, self.interpolate)
         # ‖(I − P_a)U_s‖² = K − ‖U_sᴴa‖²/M: the minima of RLS of the signal subspace are the peaks of the spectrum
         spectrum = together([RLS(U_s, manifold, instance.lower, instance.upper) for U_s, manifold in bins])
         points, peaks = pick_peaks(spectrum, maxima, K)
@@ -178,7 +189,10 @@ def warn_of_line_grid(grid: Grid, scenario: ArrayScenario, seconds: float) -> li
 
 
 def grid_maxima(
-    bins: Sequence[tuple[Complex[ndarray, "m k"], Manifold]], axes: list[Float[ndarray, " _"]], keep: int
+    bins: Sequence[tuple[Complex[ndarray, "m k"], Manifold]],
+    axes: list[Float[ndarray, " _"]],
+    keep: int,
+    interpolate: bool = True,
 ) -> Float[ndarray, "p d"]:
     """Return the highest local maxima of Σ‖U_sᴴa‖² on a grid, shape (p, d) [rad, m], in descending order.
 
@@ -188,12 +202,14 @@ def grid_maxima(
     bins: signal subspace, shape (M, K), and array and wavefront model of each frequency bin.
     axes: coordinates of the grid in azimuth, (elevation,) range [rad, m].
     keep: maximum number of maxima.
+    interpolate: whether the values along the range may be interpolated to rounding.
     """
+    along = range_axis([manifold for _, manifold in bins], axes) if interpolate else RangeAxis(axes[-1], None)
     energies = [_energies(compress(U_s), manifold) for U_s, manifold in bins]
     azimuth, slab = axes[0], tuple(len(axis) for axis in axes[1:])
     count = min(max(BLOCK // math.prod(slab), 1), len(azimuth))
-    X = np.empty((count, *slab, len(axes)))
-    X[..., 1:] = np.stack(np.meshgrid(*axes[1:], indexing="ij"), axis=-1)
+    X = np.empty((count, *slab[:-1], len(along.ranges), len(axes)))
+    X[..., 1:] = np.stack(np.meshgrid(*axes[1:-1], along.ranges, indexing="ij"), axis=-1)
     window = np.full((2, *slab), -np.inf)
     points, heights = np.empty((0, len(axes))), np.empty(0)
     for first in range(0, len(azimuth) + 1, count):
@@ -204,7 +220,8 @@ def grid_maxima(
         for energy in energies[1:]:
             new += energy(candidates)
         edge = np.full((1 if first + count > len(azimuth) else 0, *slab), -np.inf)  # beyond the last azimuth
-        window = np.concatenate([window[-2:], new.reshape(-1, *slab), edge])
+        values = along.values(new.reshape(-1, len(along.ranges))).reshape(-1, *slab)
+        window = np.concatenate([window[-2:], values, edge])
         is_highest = (window == maximum_filter(window, 3, mode="constant", cval=-np.inf))[1:-1]
         where = np.flatnonzero(is_highest)
         plateaus = label(is_highest, np.ones((3,) * len(axes)))[0].ravel()[where]

@@ -60,7 +60,13 @@ def error_in_bounds(impairments, formulation) -> float:
 
 
 @pytest.mark.parametrize(
-    ("case", "objective"), [*((case, "wsf") for case in CASES), ("gains", "dml"), ("colour", "dml")]
+    ("case", "objective"),
+    [
+        *((case, "wsf") for case in list(CASES)[::2]),
+        *(pytest.param(case, "wsf", marks=pytest.mark.slow) for case in list(CASES)[1::2]),
+        ("gains", "dml"),
+        pytest.param("colour", "dml", marks=pytest.mark.slow),
+    ],
 )
 def test_an_estimator_that_knows_an_impairment_reaches_the_bound(case, objective):
     """The RMSE of 80 errors has a standard deviation of some 8 %; the bound is that of the true model."""

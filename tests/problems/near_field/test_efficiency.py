@@ -85,7 +85,7 @@ def scenes():
     return [PAPER.draw(np.random.default_rng(seed)) for seed in range(100)]
 
 
-@pytest.mark.parametrize("estimate", [esf_from_truth, dml_from_truth])
+@pytest.mark.parametrize("estimate", [esf_from_truth, pytest.param(dml_from_truth, marks=pytest.mark.slow)])
 def test_the_error_over_random_scenes_is_that_of_the_bounds(scenes, estimate):
     """100 scenes are equivalent to 56 scenes of equal bounds; the bootstrap interval of the ratio is ±15 %."""
     ratio = rms([rms(errors(scene, estimate(scene))) for scene in scenes]) / rms([s.bounds()["crb_m"] for s in scenes])

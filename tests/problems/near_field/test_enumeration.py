@@ -71,7 +71,7 @@ def test_the_number_minimizes_the_printed_formula(seed, M, T, K, power, criterio
         assert found == estimate_sources(1e6 * Y, criterion)  # the power of the noise does not matter
 
 
-@pytest.mark.parametrize("snr_db", [10.0, 20.0])
+@pytest.mark.parametrize("snr_db", [10.0, pytest.param(20.0, marks=pytest.mark.slow)])
 def test_mdl_and_ne_count_separated_sources_correctly(snr_db):
     assert np.mean(counted("mdl", snr_db=snr_db) == 2) >= 0.99
     assert np.mean(counted("ne", snr_db=snr_db) == 2) >= 0.95

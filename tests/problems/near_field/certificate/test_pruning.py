@@ -111,7 +111,7 @@ def attack_pruning(instance, points, seed, snr_share=1.0):
     return len(low)
 
 
-@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.slow] * (n == "plane")) for n in SCENES])
 def test_no_point_with_a_small_distance_is_pruned(name):
     found = 0
     for seed, snr in enumerate((10.0, 30.0) if name == "plane" else (0.0, 20.0)):

@@ -37,7 +37,7 @@ def irregular():
     return NearField(array=array, **scene, **where, positions=[(-20, 15, 0.9), (25, -10, 1.2)])
 
 
-@pytest.mark.parametrize("scene", SCENES)
+@pytest.mark.parametrize("scene", [pytest.param(s, marks=[pytest.mark.slow] * (i % 2)) for i, s in enumerate(SCENES)])
 def test_a_right_model_is_rarely_doubted(scene):
     """At most one of 60 scenes of each kind, apart from estimates on the edge of the box, which are facts."""
     kinds = Counter()

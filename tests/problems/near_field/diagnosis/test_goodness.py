@@ -19,7 +19,7 @@ def next_to_truth(instance, **changes):
     return fit(instance.theta, manifold, *box, spectrum(instance.Y), instance.Y.shape[1])
 
 
-@pytest.mark.parametrize("scene", SCENES)
+@pytest.mark.parametrize("scene", [pytest.param(s, marks=[pytest.mark.slow] * (i % 2)) for i, s in enumerate(SCENES)])
 def test_p_values_are_uniform_if_the_model_is_right(scene):
     p = np.array([next_to_truth(SCENES[scene].draw(np.random.default_rng(seed))).p_value for seed in range(120)])
     assert np.isfinite(p).all()

@@ -159,6 +159,7 @@ PROBE = (
 )
 
 
+@pytest.mark.slow
 def test_the_first_use_says_that_it_compiles_and_the_second_is_silent(tmp_path):
     first, second = (
         subprocess.run(

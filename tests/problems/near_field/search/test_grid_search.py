@@ -40,7 +40,9 @@ def test_each_source_is_the_point_that_lowers_the_misfit_most(manifest, columns)
     assert_allclose(b[0] + 1j * b[1], expected, rtol=0, atol=1e-12 * np.abs(expected).max())
 
 
-@pytest.mark.parametrize("manifest", [PLANE, SPACE], ids=["plane", "space"])
+@pytest.mark.parametrize(
+    "manifest", [pytest.param(PLANE, id="plane"), pytest.param(SPACE, id="space", marks=pytest.mark.slow)]
+)
 def test_the_best_replacement_of_each_source_is_the_best_point_given_the_others(manifest):
     """One of four sources has been placed wrongly; the best points in place of the others are near these."""
     instance = scene(4, manifest, sources=4, min_separation_deg=10.0)
