@@ -74,7 +74,7 @@ def _ladder(points: Points, request: Request) -> pd.DataFrame:
 
 
 def _limited(request: Request, limit: float) -> Request:
-    return replace(request, **{"seconds" if request.in_seconds else "evaluations": limit})
+    return replace(request, seconds=limit) if request.in_seconds else replace(request, evaluations=limit)
 
 
 def _limits(points: Points, request: Request) -> list[float]:
