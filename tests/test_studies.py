@@ -3,6 +3,7 @@
 import csv
 import functools
 import re
+import tomllib
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,6 +13,7 @@ import pytest
 
 import nfbench
 from nfbench.analysis import Outcomes, judge_claims
+from nfbench.plugins.registry import Registry
 from nfbench.results import cell
 from nfbench.study import Claim, Study, claim_of, swept_column
 
@@ -20,13 +22,15 @@ RESULTS = PROJECT / "results"
 MANIFESTS = sorted((PROJECT / "studies" / "paper").glob("*.toml"))
 REFUSED = {"rmse_snr_half": {"modified MUSIC 400×2000"}}  # methods that a study includes to show that they are refused
 IMPAIRMENTS = sorted((PROJECT / "studies" / "impairments").glob("*.toml"))
-FOLDERS = ("paper/*", "impairments/*", "learned/*", "*")
+ESTIMATORS = sorted((PROJECT / "studies" / "estimators").glob("*.toml"))
+FOLDERS = ("paper/*", "impairments/*", "estimators/*", "learned/*", "*")
 JUDGED = sorted(table for folder in FOLDERS for table in RESULTS.glob(f"{folder}/claims.csv"))
 RELAXATION = PROJECT / "studies" / "relaxation.toml"
 LEARNED = [PROJECT / "studies" / f"{name}.toml" for name in ("learned", "learned_channel")]
 WITH_CLAIMS = [
     *MANIFESTS,
     *IMPAIRMENTS,
+    *ESTIMATORS,
     *LEARNED,
     *(PROJECT / "studies" / f"{name}.toml" for name in ("optimizer_choice", "relaxation", "certified", "measured")),
 ]
@@ -52,7 +56,9 @@ def small(text: str) -> str:
 
 
 @pytest.mark.parametrize("end", [-1, pytest.param(0, marks=pytest.mark.slow)], ids=["last point", "first point"])
-@pytest.mark.parametrize("manifest", [*MANIFESTS, RELAXATION, *LEARNED, *IMPAIRMENTS], ids=lambda path: path.stem)
+@pytest.mark.parametrize(
+    "manifest", [*MANIFESTS, RELAXATION, *LEARNED, *IMPAIRMENTS, *ESTIMATORS], ids=lambda path: path.stem
+)
 def test_a_study_runs_from_end_to_end(manifest, tmp_path, end):
     path = tmp_path / manifest.name
     path.write_text(small(manifest.read_text(encoding="utf-8")), encoding="utf-8")
@@ -187,6 +193,21 @@ def test_each_impairment_has_a_study_and_results():
         summary = pd.read_csv(RESULTS / "impairments" / path.stem / "summary.csv")
         assert set(summary["method"]) == {method.label for method in loaded(path).methods}
         assert f"studies/impairments/{path.name}" in page
+
+
+def test_every_estimator_is_in_the_studies_of_all_estimators():
+    """Each formulation that needs no solver, alone and as the start of a fit where the array allows it."""
+    kinds = {
+        name for name in Registry().names("formulation") if not Registry().make("formulation", name, {}).needs_solver
+    }
+    studied = [tomllib.loads(path.read_text(encoding="utf-8"))["method"] for path in ESTIMATORS]
+    found = {formulation_kind(method["formulation"]) for methods in studied for method in methods}
+    assert len(ESTIMATORS) == 8
+    assert kinds <= found
+
+
+def formulation_kind(table: str | dict) -> str:
+    return table if isinstance(table, str) else table["kind"]
 
 
 def test_estimators_that_know_an_impairment_come_near_the_bound():
