@@ -38,10 +38,9 @@ class SparseBayesian(Formulation):
     All points of the grid may send: the data are complex normal with the covariance Σ = σ²I + Σ_p γ_p·a_p·a_pᴴ, and the
     powers γ_p are those that make the data most probable. Starting from the beamformer's powers, each update is
     γ_p ← γ_p·(a_pᴴΣ⁻¹R̂Σ⁻¹a_p)/(a_pᴴΣ⁻¹a_p) (Gerstoft, Mecklenbräuker, Xenaki & Nannuru 2016,
-    doi:10.1109/LSP.2016.2598550; for several snapshots Wipf & Rao 2007, IEEE Trans. Signal Process. 55(7)). Only
-    the sample covariance R̂ and matrices of M×M appear. Most powers vanish on the way and are dropped. The noise σ²
-    is what the K highest peaks leave of the data, per dimension. The number of snapshots may be smaller than that
-    of sources.
+    doi:10.1109/LSP.2016.2598550; for several snapshots Wipf & Rao 2007, IEEE Trans. Signal Process. 55(7)). Only the
+    sample covariance R̂ and matrices of M×M appear. Most powers vanish on the way and are dropped. The noise σ² is what
+    the K highest peaks leave of the data, per dimension. The number of snapshots may be smaller than that of sources.
 
     The K highest peaks of γ are the estimate. A peak is a point whose power is not lower than that of any neighbour,
     which is a point with at least the coherence c² for neighbours of coherence c. If there are fewer peaks, the highest
