@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from functools import lru_cache
+from typing import Any
 
 from matplotlib.font_manager import FontProperties
 from matplotlib.textpath import text_to_path
@@ -24,8 +25,8 @@ def text_width(text: str, points: float) -> float:
     if not text:
         return 0.0
     font = FontProperties(family=FONT, size=points)
-    width, _, _ = text_to_path.get_text_width_height_descent(text, font, ismath=False)  # type: ignore[no-untyped-call]
-    return float(width) / 72
+    measure: Any = text_to_path.get_text_width_height_descent  # without types in some versions of matplotlib
+    return float(measure(text, font, ismath=False)[0]) / 72
 
 
 def wrapped(text: str, inches: float, points: float) -> list[str]:
