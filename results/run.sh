@@ -29,6 +29,10 @@ for manifest in studies/impairments/*.toml; do
     study=$(basename "$manifest" .toml)
     make "impairments/$study" "impairments/$study" "$jobs"
 done
+for manifest in studies/estimators/*.toml; do
+    study=$(basename "$manifest" .toml)
+    make "estimators/$study" "estimators/$study" "$jobs"
+done
 if [ -n "${NFBENCH_DATA:-}" ]; then
     make measured measured "$jobs"
     make recorded recorded "$jobs"

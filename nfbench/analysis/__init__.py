@@ -8,6 +8,7 @@ from __future__ import annotations
 from .choice import LIKELY, MEETS, MISSES
 from .choice_answer import Choice, answer, time_text
 from .choice_costs import Cell, Request, cells_of
+from .choice_overview import Overview, overview
 from .claim_parts import same_value
 from .claims import judge_claims
 from .distributions import (
@@ -61,6 +62,7 @@ __all__ = [
     "Choice",
     "Minima",
     "Outcomes",
+    "Overview",
     "PairedChange",
     "Parameter",
     "Point",
@@ -87,6 +89,7 @@ __all__ = [
     "landscape_facts",
     "log_ratios",
     "outcomes",
+    "overview",
     "paired_change",
     "parameters",
     "parse_targets",

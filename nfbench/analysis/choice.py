@@ -25,7 +25,18 @@ from .choice_costs import Cell, Points, Request, Setting, settings_of, within
 from .intervals import bounded_mean_interval, mean_pvalue, quantile_interval, share_interval
 from .sign_flips import holm, log_ratios, signed_ranks
 
-__all__ = ["COLUMNS", "EVERYWHERE", "LIKELY", "MEETS", "MISSES", "Verdict", "judge", "price_changes", "share_pvalue"]
+__all__ = [
+    "COLUMNS",
+    "EVERYWHERE",
+    "LIKELY",
+    "MEETS",
+    "MISSES",
+    "Verdict",
+    "judge",
+    "place_text",
+    "price_changes",
+    "share_pvalue",
+]
 
 MEETS, LIKELY, MISSES = "meets", "meets in this study", "does not"
 RELIABILITY_PART = 0.8  # of the error probability; the rest is for the comparison of costs
@@ -122,7 +133,7 @@ def _measured(points: Points, setting: Setting, request: Request) -> dict[str, A
         p = max(p, share_pvalue(each, request.reliability))
         if each.mean() < worst["share"]:
             low, high = _share_interval(each, request.confidence)
-            worst = {"share": float(each.mean()), "share_low": low, "share_high": high, "worst": _place(swept)}
+            worst = {"share": float(each.mean()), "share_low": low, "share_high": high, "worst": place_text(swept)}
         largest = max(largest, float(each.mean()))
         needed = budget_of(costs, request.reliability)
         if needed > budget[0] or math.isnan(budget[0]):
@@ -136,8 +147,8 @@ def _measured(points: Points, setting: Setting, request: Request) -> dict[str, A
     }  # fmt: skip
 
 
-def _place(swept: dict[str, Any]) -> str:
-    """The swept values in words."""
+def place_text(swept: dict[str, Any]) -> str:
+    """Return the swept values in words."""
     texts = (f"{value:g}" if isinstance(value, float) else str(value) for value in swept.values())
     return ", ".join(f"{name.removeprefix('scenario.')} = {text}" for name, text in zip(swept, texts, strict=True))
 

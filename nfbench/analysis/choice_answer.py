@@ -14,7 +14,9 @@ from .choice import EVERYWHERE, LIKELY, MEETS, MISSES, Verdict, judge, price_cha
 from .choice_costs import Points, Request
 from .sentences import names
 
-__all__ = ["Choice", "answer", "time_text"]
+__all__ = ["STEPS", "Choice", "answer", "recommended_row", "time_text"]
+
+STEPS = ["change", "setting", "verdict", "share", "budget"]  # columns of Choice.steps
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,9 +109,6 @@ def answer(points: Mapping[str, Points], target: str, request: Request, notes: S
     return Choice(target, request, unit, verdict.frame, steps, prices, words, tuple(notes))
 
 
-STEPS = ["change", "setting", "verdict", "share", "budget"]
-
-
 def _without_evaluations(points: Points, verdict: Verdict) -> list[str]:
     """The methods that reach the wanted share without any evaluation."""
     good = verdict.frame.loc[verdict.frame["verdict"] != MISSES, "method"]
@@ -143,13 +142,14 @@ def _steps(points: Mapping[str, Points], target: str, request: Request, verdict:
         for factor, word in ((0.5, "half the"), (2.0, "twice the")):
             more, longer = (None if value is None else factor * value for value in limits.values())
             changed = replace(request, evaluations=more, seconds=longer)
-            yield (f"{word} {what}", *_step(judge(points[target], changed)))
+            yield (f"{word} {what}", *recommended_row(judge(points[target], changed)))
     for label, other in points.items():
         if label != target and other:
-            yield (f"target {label}", *_step(judge(other, request)))
+            yield (f"target {label}", *recommended_row(judge(other, request)))
 
 
-def _step(verdict: Verdict) -> tuple[Any, ...]:
+def recommended_row(verdict: Verdict) -> tuple[Any, ...]:
+    """Return setting, verdict, share and budget of the first row."""
     if verdict.frame.empty:
         return "", MISSES, math.nan, math.nan
     row = verdict.frame.iloc[0]

@@ -52,16 +52,19 @@ def runtime_distribution(
     """
     _check_axis(axis)
     swept = swept_columns(hits)
-    rows: list[pd.DataFrame] = []
+    keys: list[tuple[Any, ...]] = []
+    curves: list[ndarray] = []
     for about, at_point in _groups(hits, swept):
         grid = _grid(at_point, axis, points)
         for method, group in at_point.groupby("method", sort=False):
             shares, single = _shares(group, axis, grid)
-            curve: dict[str, Any] = {**about, "method": method, axis: grid, "share": shares.mean(axis=0)}
-            curve["low"], curve["high"] = _band(shares, single) if bands else (math.nan, math.nan)
-            rows.append(pd.DataFrame(curve))
-    columns = [*swept, "method", axis, "share", "low", "high"]
-    return pd.concat(rows, ignore_index=True)[columns] if rows else pd.DataFrame(columns=columns)
+            low, high = _band(shares, single) if bands else np.full((2, len(grid)), math.nan)
+            curves.append(np.stack([grid, shares.mean(axis=0), low, high], axis=1))
+            keys += [(*about.values(), method)] * len(grid)
+    names, numbers = [*swept, "method"], [axis, "share", "low", "high"]
+    if not curves:
+        return pd.DataFrame(columns=[*names, *numbers])
+    return pd.DataFrame(keys, columns=names).join(pd.DataFrame(np.concatenate(curves), columns=numbers))
 
 
 def _grid(hits: pd.DataFrame, axis: Axis, points: int) -> Float[ndarray, " x"]:
@@ -69,7 +72,9 @@ def _grid(hits: pd.DataFrame, axis: Axis, points: int) -> Float[ndarray, " x"]:
     if axis == "seconds":
         end = float(hits["spent_s"].max())
     else:
-        caps = hits.groupby("method")["cap"].max()
+        method, labels = pd.factorize(hits["method"])
+        caps = np.zeros(len(labels))
+        np.fmax.at(caps, method, hits["cap"].to_numpy(dtype=np.float64))
         end = float(caps[caps > 0].min()) if (caps > 0).any() else 0.0
     costs = hits[axis].to_numpy(dtype=np.float64)[hits["hit"].to_numpy(dtype=bool)]
     costs = np.unique(np.append(costs[costs <= end], end))

@@ -41,14 +41,14 @@ def headline(block: Block, rows: pd.DataFrame) -> tuple[str, str]:
         parts.append(f"{names([block.methods[i] for i in rest])} cannot be distinguished from it")
     if len(rest) < k - 1:
         parts.append(f"{_beaten(block)} (the risk of any wrong exclusion is at most 5 %)")
-    return which, f"On {_scenes(n)} {'; '.join(parts)}."
+    return which, f"On {_scenes(n)}, {'; '.join(parts)}."
 
 
 WORSE = {"reliability": "less reliable", "error": "less accurate", "cost": "more expensive"}  # by stage
 
 
 def _beaten(block: Block) -> str:
-    """How many methods each stage of the ranking has excluded: "of the other 9 methods 5 are significantly less …"."""
+    """How many methods each stage of the ranking has excluded: "5 of the other 9 methods are significantly less …"."""
     inside, lost = np.ones(len(block.methods), dtype=bool), []
     for stage in block.stages:
         lost.append((int(np.sum(inside & ~stage.best.inside)), WORSE[stage.name]))
@@ -59,7 +59,7 @@ def _beaten(block: Block) -> str:
         which = "the other method is" if total == 1 else f"the other {total} methods are"
         return f"{which} significantly {lost[0][1]}"
     (count, how), *more = lost
-    first = f"of the other {total} methods {count} {'is' if count == 1 else 'are'} significantly {how}"
+    first = f"{count} of the other {total} methods {'is' if count == 1 else 'are'} significantly {how}"
     return names([first, *(f"{count} {how}" for count, how in more)])
 
 

@@ -28,7 +28,7 @@ from .drawing import KINDS, Drawing, Kind, NotDrawnError
 from .error import error_figures
 from .expected_cost import ert_figure
 from .geometry import geometry_figures
-from .labels import name_of, setting, text_of
+from .labels import name_of, places, setting, text_of
 from .landscape import landscape_figures
 from .localization import localization_figure, write_localization_figure
 from .positions import few_enough, position_figures
@@ -47,6 +47,7 @@ __all__ = [
     "figures",
     "localization_figure",
     "name_of",
+    "places",
     "setting",
     "styled",
     "text_of",

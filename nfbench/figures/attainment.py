@@ -12,7 +12,7 @@ from numpy import ndarray
 from nfbench.analysis import Axis, attainment
 from nfbench.results import find_progress
 
-from .axes import error_axis, legend_below, new_figure, panel_rows, panels
+from .axes import error_axis, legend_below, name_y, new_figure, panel_rows, panels
 from .data import Drawn, chosen
 from .drawing import Drawing, NotDrawnError
 from .error import headed, method_handles
@@ -56,7 +56,7 @@ def attainment_figure(study: Drawn, how: Drawing) -> Figure:
     error_axis(axes, "x", [*table[axis], end])
     error_axis(axes, "y", table["value"])
     for ax in left:
-        ax.set_ylabel("Gap" if measure == "gap" else study.median_label.replace("Median [m]", "Error [m]"))
+        name_y(ax, "Gap" if measure == "gap" else study.median_label.replace("Median [m]", "Error [m]"), 1.5)
     for ax in lowest:
         ax.set_xlabel(AXIS_LABELS[axis])
     handles = method_handles(study, joined=True, names=set(table["method"]))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Literal, cast
 
@@ -17,25 +16,70 @@ from matplotlib.ticker import FixedFormatter, FixedLocator, MaxNLocator, NullFor
 from numpy import ndarray
 
 from .labels import Places, plain, text_of
+from .text import wrapped
 
-__all__ = ["error_axis", "legend_below", "new_figure", "panel_rows", "panels", "swept_axis"]
+__all__ = [
+    "error_axis",
+    "headline",
+    "legend_below",
+    "name_x",
+    "name_y",
+    "new_figure",
+    "panel_rows",
+    "panels",
+    "swept_axis",
+]
 
 _PER_INCH = {"x": 2.2, "y": 3.5}  # labels that fit in an inch
 _CHARACTER, _LINE, _GAP = 0.07, 0.12, 0.03  # width of a character, height and gap of labels [in]
 _LEAST = 1.6  # smallest ratio that an axis spans, so that noise does not look like a difference
 _MARGIN = 0.05
+_TITLE, _LABEL, _SMALL = 8.0, 7.5, 7.0  # sizes of titles, of labels, and of legends [pt]
+_EDGE, _BESIDE, _HANDLE = 0.06, 0.6, 0.48  # margin, room for a y axis and its labels, and handle of a legend [in]
 
 
 def new_figure(width: float, height: float, title: str, compress: bool = False) -> Figure:
     """An empty figure of that size [in] with a wrapped title. Set ``compress`` for panels with a fixed aspect."""
-    lines = textwrap.wrap(title.replace(" = ", "\u00a0=\u00a0"), width=max(int(width * 17), 20))
     figure = Figure(
-        figsize=(width, height + 0.14 * len(lines)),
+        figsize=(width, height),
         layout=ConstrainedLayoutEngine(w_pad=0.03, h_pad=0.03, compress=compress),
     )
-    if lines:
-        figure.suptitle(plain("\n".join(lines)))
+    headline(figure, plain(title))
     return figure
+
+
+def headline(figure: Figure, text: str) -> None:
+    """Add a line of text, as ``plain`` returns it, to the title of a figure, which grows by the height of its lines."""
+    before = figure.get_suptitle()
+    lines = wrapped(text.replace(" = ", "\u00a0=\u00a0"), figure.get_figwidth() - 2 * _EDGE, _TITLE)
+    if lines:
+        figure.suptitle("\n".join([*([before] if before else []), *lines]))
+        figure.set_figheight(figure.get_figheight() + 0.14 * len(lines))
+
+
+def name_x(axes: Iterable[Axes], text: str) -> None:
+    """Label the x axes of panels in one row, in as many lines as fit below them; the figure grows by their height."""
+    axes = list(axes)
+    figure = cast(Figure, axes[0].get_figure())
+    lines = wrapped(text, _inner(figure) / _columns_of(axes[0]) - _EDGE, _LABEL)
+    for ax in axes:
+        ax.set_xlabel("\n".join(lines))
+    figure.set_figheight(figure.get_figheight() + _LINE * (len(lines) - 1))
+
+
+def name_y(ax: Axes, text: str, height: float) -> None:
+    """Label the y axis of a panel of this height [in], in as many lines as fit beside it."""
+    ax.set_ylabel("\n".join(wrapped(text, height, _LABEL)))
+
+
+def _inner(figure: Figure) -> float:
+    """The width of all panels together, without the labels of the y axis [in]."""
+    return figure.get_figwidth() - _BESIDE
+
+
+def _columns_of(ax: Axes) -> int:
+    place = ax.get_subplotspec()
+    return place.get_gridspec().ncols if place else 1
 
 
 def panels(figure: Figure, count: int, width: str, **share: Any) -> tuple[list[Axes], list[Axes], list[Axes]]:
@@ -68,10 +112,13 @@ def legend_below(figure: Figure, entries: Mapping[str, Artist], note: str = "") 
 
     entries: drawn example of each text.
     """
-    handles, texts = list(entries.values()), list(map(plain, entries))
-    note = plain("\n".join(textwrap.wrap(note, width=int(figure.get_figwidth() * 19))))
+    width = figure.get_figwidth()
+    handles = list(entries.values())
+    texts = [plain("\n".join(wrapped(text, width - _HANDLE, _SMALL))) for text in entries]
+    note = plain("\n".join(wrapped(note, width - 2 * _EDGE, _SMALL)))
     height = figure.get_figheight()
-    figure.set_figheight(height + 0.2 * (len(texts) + note.count("\n") + 2))  # room to measure the legend in
+    room = len(texts) + sum(text.count("\n") for text in [*texts, note])
+    figure.set_figheight(height + 0.2 * (room + 2))  # room to measure the legend in
     for wanted in range(min(len(texts), 4), 0, -1):
         rows = math.ceil(len(texts) / wanted)
         columns = math.ceil(len(texts) / rows)
@@ -143,7 +190,7 @@ def _log_ticks(
     figure = cast(Figure, ax.get_figure())
     rows, columns = ax.get_subplotspec().get_gridspec().get_geometry()  # type: ignore[union-attr]
     inches = 0.75 * figure.get_figwidth() / columns if which == "x" else 0.8 * figure.get_figheight() / rows
-    most = max(int(inches * _PER_INCH[which]), 2)
+    most = max(int(inches * _PER_INCH[which]), 3)
 
     def fits(ticks: ndarray) -> bool:
         """Whether there is a gap between neighbouring labels at these ticks."""

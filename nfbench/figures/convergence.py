@@ -15,7 +15,7 @@ from nfbench.results import find_progress
 from .axes import error_axis, legend_below, new_figure
 from .data import Drawn, chosen
 from .drawing import Drawing, NotDrawnError
-from .error import heading, method_handles
+from .error import BESIDE, heading, method_handles
 from .labels import plain
 from .style import WIDTHS
 
@@ -45,7 +45,7 @@ def convergence_figure(study: Drawn, how: Drawing) -> Figure:
     formulation = dict(zip(study.runs["method"], study.runs["formulation"], strict=True))
     table = table.assign(formulation=table["method"].map(formulation))
     columns = list(dict.fromkeys(table["formulation"]))
-    most = int(WIDTHS[how.width] / len(columns) * 14)
+    most = (WIDTHS[how.width] - BESIDE) / len(columns)
     extra = max(len(heading(part, most)) for part in parts) - 1 + (len(columns) > 1)
     figure = new_figure(WIDTHS[how.width], (1.45 + 0.12 * max(extra, 0)) * len(parts) + 0.35, study.title)
     grid = figure.subplots(len(parts), len(columns), squeeze=False, sharex="col")

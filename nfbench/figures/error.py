@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import re
-import textwrap
 from collections import Counter
 from collections.abc import Collection, Iterator, Sequence
 from typing import Any, Literal, cast
@@ -17,15 +16,17 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from numpy import ndarray
 
-from .axes import error_axis, legend_below, new_figure, swept_axis
+from .axes import error_axis, legend_below, name_x, name_y, new_figure, swept_axis
 from .data import Drawn, Metric, key_of
 from .direct import direct, name_ends
 from .drawing import Wanted
 from .highlights import listed
-from .labels import Places, plain, short, text_of
+from .labels import Places, plain, text_of
 from .style import WIDTHS
+from .text import fitted, text_width, wrapped
 
 __all__ = [
+    "BESIDE",
     "below_bound",
     "bound_handles",
     "bound_look",
@@ -38,8 +39,9 @@ __all__ = [
 ]
 
 PANELS = {"single": 3, "double": 4}  # values of a second key in one figure; if there are more, each has its own figure
-NAME = {"single": 26, "double": 50}  # characters per line of a method's name
-CHARACTER, LINE = 0.062, 0.125  # width of a character and height of a line of a heading [in]
+NAME = {"single": 1.5, "double": 2.9}  # width of a method's name [in]
+SIZE, ROW_SIZE = 7.5, 7.0  # of headings, and of the names of rows [pt]
+BESIDE, LINE = 0.6, 0.125  # room for a y axis and its labels, and height of a line of a heading [in]
 LONG = 15  # rows; with more, names are cut to one line
 STEM = 120  # characters of a file name
 BEYOND = 1e6  # times the lower end: where an interval ends that reaches infinity
@@ -83,17 +85,16 @@ def headed(ax: Axes, part: Drawn) -> None:
         return
     figure, place = cast(Figure, ax.get_figure()), ax.get_subplotspec()
     columns = place.get_gridspec().ncols if place else 1
-    lines = heading(part, int((figure.get_figwidth() - 0.35) / columns / CHARACTER))
+    lines = heading(part, (figure.get_figwidth() - BESIDE) / columns)
     ax.set_title("\n".join(lines), loc="left")
     if place and place.colspan.start == 0:
         figure.set_figheight(figure.get_figheight() + LINE * (len(lines) - 1))
 
 
-def heading(part: Drawn, most: int) -> list[str]:
-    """The fixed values of a part, in lines of about this many characters that break between values where possible."""
-    settings = part.settings
-    kept = [text.replace(" ", "\N{NO-BREAK SPACE}") if len(text) < most else text for text in settings]
-    lines = textwrap.wrap(", ".join(kept), max(most, 8), break_on_hyphens=False)
+def heading(part: Drawn, inches: float) -> list[str]:
+    """The fixed values of a part, in lines no wider than this that break between values where possible."""
+    kept = [text.replace(" ", "\N{NO-BREAK SPACE}") for text in part.settings]
+    lines = wrapped(", ".join(kept), inches, SIZE)
     return [line.replace("\N{NO-BREAK SPACE}", " ") for line in lines]
 
 
@@ -139,14 +140,13 @@ def _lines(parts: list[Drawn], metrics: list[Metric], width: str, column: str, a
         headed(column_of_panels[0], part)
         for metric, ax in zip(metrics, column_of_panels, strict=True):
             _draw_lines(ax, part, metric, column, at)
-    for metric, ax in zip(metrics, panels[0], strict=True):
-        ax.set_ylabel(metric.label)
+    for metric, ax, height in zip(metrics, panels[0], heights * len(metrics), strict=False):
+        name_y(ax, metric.label, height)
     for metric, axes in zip(metrics, panels.T, strict=True):
         _scale(axes, "y", metric, parts)
     for ax in grid.flat:
         swept_axis(ax, at)
-    for ax in grid[-1]:
-        ax.set_xlabel(parts[0].name(column))
+    name_x(grid[-1], parts[0].name(column))
     figure.align_ylabels()
     names = parts[-1].coloured
     named_at_ends = not one_row and direct(names, WIDTHS[width], heights[0])
@@ -211,9 +211,9 @@ def _dots(parts: list[Drawn], metrics: list[Metric], width: str, column: str | N
         _draw_rows(axes, row, metrics, column, width)
     for metric, axes in zip(metrics, grid.T, strict=True):
         _scale(axes, "x", metric, parts)
-        axes[-1].set_xlabel(metric.label.replace(" [%]", "\n[%]"))
-    for ax in grid[:, 0] if column else ():
-        ax.set_ylabel(parts[0].name(column or ""))
+        name_x(axes[-1:], metric.label.replace(" [%]", "\n[%]"))
+    for ax, height in zip(grid[:, 0] if column else (), heights, strict=False):
+        name_y(ax, parts[0].name(column or ""), height)
     if column or any(len(parts[0].bound(name)) for metric in metrics for name in metric.bounds):
         _legend(figure, parts, metrics, joined=False, methods=column is not None)
     return figure
@@ -282,9 +282,9 @@ def _names(group: Drawn, width: str) -> list[str]:
     for row in table.to_dict("records"):
         failed = f" ({row['failed']} of {row['runs']} failed)" if row["failed"] else ""
         if len(table) > LONG:
-            names.append(short(row["method"], NAME[width] + 2 - len(failed) // 2) + failed)
+            names.append(fitted(row["method"], NAME[width] - text_width(failed, ROW_SIZE), ROW_SIZE) + failed)
         else:
-            names.append(plain("\n".join(textwrap.wrap(f"{row['method']}{failed}", NAME[width]))))
+            names.append(plain("\n".join(wrapped(f"{row['method']}{failed}", NAME[width], ROW_SIZE))))
     return [*names, f"{len(together)} other methods"] if together else names
 
 

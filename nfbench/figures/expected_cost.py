@@ -17,15 +17,19 @@ from .data import Drawn, chosen
 from .drawing import Drawing, NotDrawnError
 from .error import heading
 from .highlights import listed
-from .labels import plain, short
+from .labels import plain
 from .style import GREY, PALE, WIDTHS
 from .target_axes import axis_of, gap_note, hits_on, reached, target_of
+from .text import fitted_apart, text_width, wrapped
 
 __all__ = ["ert_figure"]
 
 ROW = 0.15  # height of a row [in]
 LINE = 0.13  # height of a line of text [in]
-NAME = {"single": 30, "double": 60}  # characters of a method's name
+NAME = {"single": 1.7, "double": 3.0}  # width of a method's name with one panel [in]
+SIZE, ROW_SIZE = 7.5, 7.0  # of headings and of the names of rows [pt]
+GAP = 0.12  # around panels [in]
+TOGETHER = 4  # grey methods that never reach the target and share a row; fewer have rows of their own
 FAR = 30.0  # times the largest expected running time: where an interval is cut
 
 
@@ -48,11 +52,19 @@ def ert_figure(study: Drawn, how: Drawing) -> Figure:
     column = "ert_s" if axis == "seconds" else "ert"
     overall = target_table(hits, ["method"]).set_index("method")
     order = overall.sort_values([column, "share"], ascending=[True, False], kind="stable").index.tolist()
-    order, rest = listed(order, study.coloured)
+    order, rest = _shown(order, overall[column], study)
     table = target_table(hits) if study.swept else overall.reset_index()
-    headings = [heading(part, (44 if how.width == "single" else 100) // len(parts)) for part in parts]
-    above = LINE * max(map(len, headings)) + LINE * bool(unreached)
-    figure = new_figure(WIDTHS[how.width], ROW * (len(order) + bool(rest)) + above + 0.5, study.title)
+    width = WIDTHS[how.width]
+    longest = NAME[how.width] * (0.75 if how.width == "single" and len(parts) > 1 else 1.0)
+    names = fitted_apart(order, longest, ROW_SIZE) + [f"{len(rest)} other methods"] * bool(rest)
+    across = (width - max(text_width(name, ROW_SIZE) for name in names) - GAP) / len(parts) - GAP
+    headings = [heading(part, across) for part in parts]
+    unit = "seconds" if axis == "seconds" else "evaluations"
+    remarks = "; ".join(text for text in (gap_note(study, hits), unreached) if text)
+    note = f"\n({remarks})" if remarks else ""
+    label = wrapped(f"Expected {unit} until {target.label if target else ''}{note}", width - GAP, SIZE)
+    above = LINE * (max(map(len, headings)) + len(label) - 1)
+    figure = new_figure(width, ROW * (len(order) + bool(rest)) + above + 0.5, study.title)
     axes = figure.subplots(1, len(parts), sharey=True, sharex=True, squeeze=False)[0]
     for ax, part, lines in zip(axes, parts, headings, strict=True):
         own = part.at(table).set_index("method")
@@ -63,14 +75,19 @@ def ert_figure(study: Drawn, how: Drawing) -> Figure:
     values = table[[column, f"{column}_low", f"{column}_high"]].to_numpy(dtype=np.float64)
     most = FAR * values[:, 0][np.isfinite(values[:, 0])].max()
     error_axis(axes, "x", values[(values <= most) & (values > 0)])
-    names = [short(name, NAME[how.width]) for name in order] + [f"{len(rest)} other methods"] * bool(rest)
     axes[0].set_yticks(range(len(names)), names)
     axes[0].set_ylim(len(names) - 0.4, -0.6)
-    unit = "seconds" if axis == "seconds" else "evaluations"
-    remarks = "; ".join(text for text in (gap_note(study, hits), unreached) if text)
-    note = f"\n({remarks})" if remarks else ""
-    figure.supxlabel(plain(f"Expected {unit} until {target.label if target else ''}{note}"), fontsize=7.5)
+    figure.supxlabel(plain("\n".join(label)), fontsize=SIZE)
     return figure
+
+
+def _shown(order: list[str], costs: pd.Series, study: Drawn) -> tuple[list[str], list[str]]:
+    """The methods with a row of their own, and those that share one: also the grey ones that never reach the target."""
+    alone, rest = listed(order, study.coloured)
+    never = [name for name in alone if name in study.others and not math.isfinite(costs[name])]
+    if len(never) < TOGETHER:
+        return alone, rest
+    return [name for name in alone if name not in never], [*rest, *never]
 
 
 def _draw(ax: Axes, part: Drawn, table: pd.DataFrame, order: list[str], column: str) -> None:

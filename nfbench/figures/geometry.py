@@ -83,9 +83,19 @@ def _figure(part: Drawn, picture: Picture, width: str) -> Figure:
     _draw_array(axes[len(scene)], picture, close[0])
     handles = {"Element": Line2D([], [], **{**ELEMENTS, "markersize": 4.0}), "Search box": Line2D([], [], **BOX)}
     for (name, length), look in zip(picture.distances, RINGS, strict=False):
-        handles[f"{name}, {length:.3g} m"] = Line2D([], [], **look)
+        seen = any(_crosses(ax, picture, view, length) for ax, view in zip(axes, scene, strict=False))
+        handles[f"{name}, {length:.3g} m{'' if seen else ' (outside)'}"] = Line2D([], [], **look)
     legend_below(figure, handles)
     return figure
+
+
+def _crosses(ax: Axes, picture: Picture, view: tuple[int, int], length: float) -> bool:
+    """Whether the circle of this radius about the origin crosses a panel."""
+    origin = np.zeros(3) if picture.origin is None else picture.origin
+    turn = np.linspace(0, 2 * np.pi, 721)
+    x, y = origin[view[0]] + length * np.cos(turn), origin[view[1]] + length * np.sin(turn)
+    (left, right), (bottom, top) = ax.get_xlim(), ax.get_ylim()
+    return bool(((left <= x) & (x <= right) & (bottom <= y) & (y <= top)).any())
 
 
 def _draw_scene(ax: Axes, picture: Picture, view: tuple[int, int]) -> None:

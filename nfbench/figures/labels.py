@@ -116,7 +116,7 @@ class Places:
 
 
 def places(key: str, values: Sequence[Any]) -> Places | None:
-    """The places of a key's values; None for categories: text, lists, or fewer than two finite numbers."""
+    """Return the places of a key's values; None for categories: text, lists, or fewer than two finite numbers."""
     if not all(isinstance(v, int | float | np.number) and not isinstance(v, bool | np.bool_) for v in values):
         return None
     numbers = sorted({float(value) for value in values})

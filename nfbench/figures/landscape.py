@@ -15,7 +15,7 @@ from nfbench.analysis import Minima, find_minima
 from nfbench.core import Cut, NfbenchError, explain
 from nfbench.results import Results
 
-from .axes import legend_below, new_figure
+from .axes import headline, legend_below, new_figure
 from .data import Drawn
 from .drawing import Drawing, NotDrawnError
 from .error import named, slug
@@ -74,7 +74,7 @@ def _figure(part: Drawn, cuts: list[Cut], width: str, seed: int) -> Figure:
     for ax, cut in zip(grid.flat, order, strict=False):
         _draw(figure, ax, cut, find_minima(cut.plane(), STARTS, np.random.default_rng(seed), cut.marks))
     if part.where:
-        figure.suptitle("\n".join(filter(None, [figure.get_suptitle(), named(part)])))
+        headline(figure, named(part))
     handles = {
         "True source": Line2D([], [], **TRUTH),
         "Local minimum": Line2D([], [], **MINIMUM),
@@ -95,8 +95,8 @@ def _draw(figure: Figure, ax: Axes, cut: Cut, found: Minima) -> None:
     bar.outline.set_linewidth(0.6)
     minima, marks = found.places * scale, cut.marks * scale
     ax.plot(marks[:, 0], marks[:, 1], **TRUTH, label="truth")
-    ax.plot(minima[1:, 0], minima[1:, 1], **MINIMUM, label="minima")
-    ax.plot(minima[0, 0], minima[0, 1], **LOWEST, label="lowest")
+    ax.plot(minima[1:, 0], minima[1:, 1], **MINIMUM, label="minima", clip_on=False)  # many are at the edges
+    ax.plot(minima[0, 0], minima[0, 1], **LOWEST, label="lowest", clip_on=False)
     ax.grid(visible=False)
     ax.set(xlim=scale[0] * x[[0, -1]], ylim=scale[1] * y[[0, -1]], xlabel=cut.axes[0], ylabel=cut.axes[1])
     kind = "peaks" if cut.spectrum else "minima"

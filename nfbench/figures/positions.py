@@ -20,7 +20,7 @@ from nfbench.core import NfbenchError, Scenario, Status, explain
 from nfbench.results import Results
 from nfbench.study import load_scenarios, scene_numbers
 
-from .axes import legend_below, new_figure
+from .axes import headline, legend_below, new_figure
 from .data import Drawn, key_of
 from .drawing import NotDrawnError
 from .error import named, slug
@@ -181,7 +181,7 @@ def _figure(part: Drawn, places: _Places, width: str) -> Figure:
         truth["2 standard errors"] = Line2D([], [], color="0.25", linewidth=0.6)
     handles = {**truth, **{name: Line2D([], [], **hollow(part.styles[name])) for name in _shown(part)}}
     if part.where:
-        figure.suptitle("\n".join(filter(None, [figure.get_suptitle(), named(part)])))
+        headline(figure, named(part))
     shown, every = len(_shown(part)), len(part.methods)
     legend_below(figure, handles, f"The {shown} of {every} methods with the best mean ranks" if shown < every else "")
     return figure

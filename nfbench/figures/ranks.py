@@ -19,13 +19,15 @@ from .data import Drawn, chosen
 from .drawing import Drawing, NotDrawnError
 from .error import named
 from .highlights import listed
-from .labels import plain, short
+from .labels import plain
 from .style import GREY, WIDTHS
+from .text import fitted_apart
 
 __all__ = ["ranks_figure"]
 
 ROW = 0.15  # height of a row [in]
-NAME = {"single": 34, "double": 70}  # characters of a method's name
+NAME = {"single": 1.8, "double": 3.6}  # width of a method's name [in]
+ROW_SIZE = 7.0  # of the names of rows [pt]
 AXIS = 0.65  # height of the axis below the rows [in]
 LEAST = 3  # methods; mean ranks of two say no more than who wins how often
 
@@ -78,7 +80,7 @@ def _shown(study: Drawn, blocks: tuple[Block, ...]) -> list[tuple[str, Block]]:
     return found
 
 
-def _draw(ax: Axes, study: Drawn, table: pd.DataFrame, longest: int) -> None:
+def _draw(ax: Axes, study: Drawn, table: pd.DataFrame, longest: float) -> None:
     """Draw stems from the axis of ranks up to the methods, the best on top."""
     table = table[table["mean_rank"].notna()].sort_values("mean_rank", kind="stable")
     best = table["in_best_set"].fillna(False).astype(bool).to_numpy()
@@ -113,7 +115,7 @@ def _draw(ax: Axes, study: Drawn, table: pd.DataFrame, longest: int) -> None:
     ax.set_xticks([tick for tick in ticks if low <= tick <= high])
     ax.set_ylim(0, count + 0.6)
     ax.yaxis.tick_right()
-    names = [short(name, longest) for name in alone] + [f"{len(together)} other methods"] * bool(together)
+    names = fitted_apart(alone, longest, ROW_SIZE) + [f"{len(together)} other methods"] * bool(together)
     ax.set_yticks(range(count, 0, -1), names)
     ax.tick_params(axis="y", length=0)
     ax.grid(visible=False)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from matplotlib.figure import Figure
 
-from .axes import error_axis, legend_below, new_figure, panel_rows, panels
+from .axes import error_axis, legend_below, name_x, name_y, new_figure, panel_rows, panels
 from .data import Drawn, chosen
 from .drawing import Drawing
 from .error import below_bound, bound_handles, bound_look, headed, method_handles
@@ -44,9 +44,8 @@ def runtime_figure(study: Drawn, how: Drawing) -> Figure:
     times = [f"{TIME}{end}" for end in ("", "_low", "_high")]
     error_axis(axes, "x", [v for part in parts for name in times for v in part.table[name]])
     for ax in left:
-        ax.set_ylabel(metric.label)
-    for ax in lowest:
-        ax.set_xlabel(study.time_label)
+        name_y(ax, metric.label, height)
+    name_x(lowest, study.time_label)
     handles = method_handles(study, joined=False)
     legend_below(figure, handles | bound_handles(parts, [metric]), below_bound(parts, [metric]))
     return figure

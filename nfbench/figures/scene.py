@@ -16,7 +16,7 @@ from numpy import ndarray
 from nfbench.core import Instance, NfbenchError, Picture, Status, explain
 from nfbench.results import Results
 
-from .axes import legend_below, new_figure
+from .axes import headline, legend_below, new_figure
 from .data import Drawn
 from .drawing import Drawing, NotDrawnError
 from .error import named, slug
@@ -30,6 +30,7 @@ __all__ = ["hollow", "scene_figures"]
 CLOSE = {"single": 3, "double": 6}  # sources with a panel of their own
 HIGHEST = 2.2  # height of such a panel [in]
 WINDOW = 3.0  # half width of such a panel, relative to the largest semi-axis of the ellipse
+UNITS = (("m", 1.0, 0.05), ("mm", 1e3, 5e-5), ("µm", 1e6, 0.0))  # with factor, and least tick that is short in it [m]
 ELLIPSE: dict[str, Any] = {"color": "0.25", "linewidth": 0.8}
 
 
@@ -73,10 +74,9 @@ def _figure(part: Drawn, picture: Picture, found: dict[str, Float[ndarray, "n 3"
     above, under = figure.subfigures(2, 1, squeeze=False, height_ratios=[min(across, 2.6), below])[:, 0]
     for ax, view in zip(above.subplots(1, len(views), squeeze=False)[0], views, strict=True):
         _draw(ax, part, picture, found, view)
-    for k, ax in enumerate(under.subplots(1, close, squeeze=False)[0]):
-        _draw_close(ax, part, picture, found, k, views[0])
-        if k:
-            ax.set_ylabel("")
+    panels = list(under.subplots(1, close, squeeze=False)[0])
+    widths = [_draw_close(ax, part, picture, found, k, views[0]) for k, ax in enumerate(panels)]
+    _name_displacements(panels, widths, views[0])
     handles = {
         "Element": Line2D([], [], **ELEMENTS),
         "Search box": Line2D([], [], **BOX),
@@ -85,7 +85,7 @@ def _figure(part: Drawn, picture: Picture, found: dict[str, Float[ndarray, "n 3"
         **{name: Line2D([], [], **hollow(part.styles[name])) for name in part.coloured if name in found},
     }
     if part.where:
-        figure.suptitle("\n".join(filter(None, [figure.get_suptitle(), named(part)])))
+        headline(figure, named(part))
     legend_below(figure, handles, "Below: displacements from each source; ellipses from the Cramér–Rao bound")
     return figure
 
@@ -113,8 +113,8 @@ def _draw(
 
 def _draw_close(
     ax: Axes, part: Drawn, picture: Picture, found: dict[str, Float[ndarray, "n 3"]], k: int, view: tuple[int, int]
-) -> None:
-    """Draw the surroundings of one source; estimates outside are counted.
+) -> float:
+    """Draw the surroundings of one source, and return half of their width [m]; estimates outside are counted.
 
     They are as wide as the error ellipse needs, or as half of the estimates need if all would be outside.
     """
@@ -138,7 +138,16 @@ def _draw_close(
         ax.annotate(f"{outside} outside", (0.04, 0.95), xycoords="axes fraction", va="top", fontsize=6, zorder=5)
     ax.set_title(f"Source {k + 1}", loc="left")
     ax.set(xlim=(-half, half), ylim=(-half, half), aspect="equal")
-    ax.set(xlabel=f"Δ{AXES[i]} [m]", ylabel=f"Δ{AXES[j]} [m]")
-    tick = float(f"{half / 2:.0e}")
-    ax.set_xticks([-tick, tick], [f"−{tick:g}", f"{tick:g}"])  # more would not fit
-    ax.set_yticks([-tick, 0, tick], [f"−{tick:g}", "0", f"{tick:g}"])
+    return half
+
+
+def _name_displacements(axes: list[Axes], widths: list[float], view: tuple[int, int]) -> None:
+    """Label the panels of sources, all in the unit that gives short numbers. widths: half of each panel's width [m]."""
+    ticks = [float(f"{half / 2:.0e}") for half in widths]
+    unit, factor = next(((u, f) for u, f, least in UNITS if min(ticks) >= least), UNITS[-1][:2])
+    for ax, tick in zip(axes, ticks, strict=True):
+        text = f"{tick * factor:.6g}"
+        ax.set_xticks([-tick, tick], [f"−{text}", text])  # more would not fit
+        ax.set_yticks([-tick, 0, tick], [f"−{text}", "0", text])
+        ax.set_xlabel(f"Δ{AXES[view[0]]} [{unit}]")
+    axes[0].set_ylabel(f"Δ{AXES[view[1]]} [{unit}]")

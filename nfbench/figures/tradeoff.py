@@ -14,7 +14,7 @@ from numpy import ndarray
 
 from nfbench.core import Status
 
-from .axes import error_axis, legend_below, new_figure, panel_rows, panels
+from .axes import error_axis, legend_below, name_x, name_y, new_figure, panel_rows, panels
 from .data import Drawn, chosen, median_over_scenes
 from .drawing import Drawing, NotDrawnError
 from .error import headed, method_handles
@@ -69,9 +69,8 @@ def tradeoff_figure(study: Drawn, how: Drawing) -> Figure:
         shown = everything.loc[~everything["pale"], [f"{name}{end}" for end in ENDS]].to_numpy().ravel()
         error_axis(axes, which, [*everything[name], *shown])
     for ax in left:
-        ax.set_ylabel(study.median_label)
-    for ax in lowest:
-        ax.set_xlabel("Median run time [s]" if axis == "seconds" else f"Median {AXIS_LABELS[axis].lower()}")
+        name_y(ax, study.median_label, 1.5)
+    name_x(lowest, "Median run time [s]" if axis == "seconds" else f"Median {AXIS_LABELS[axis].lower()}")
     numbers = _numbered(study, tables)
     for ax, table in zip(axes, tables, strict=True):
         _write_numbers(ax, table, numbers)

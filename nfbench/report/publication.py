@@ -9,10 +9,11 @@ from typing import Any, Literal, TypeAlias, get_args
 
 import pandas as pd
 
-from nfbench.core import NfbenchError, latex_text, nearest, printable
+from nfbench.core import NfbenchError, nearest, printable
 from nfbench.results import Results, csv_frame
 from nfbench.study import read_labels
 
+from .latex_table import latex_table
 from .terminal import number_text
 
 __all__ = ["TABLES", "TABLE_FORMATS", "TableFormat", "TableName", "publication_table"]
@@ -90,8 +91,10 @@ def publication_table(
     heads = [_heading(name, labels) for name in (*keys, *wanted)]
     left = len(keys) if which != "claims" else 2
     bold = [bool(value) if pd.notna(value) else False for value in best]
-    title = results.meta["title"]
-    return _latex(heads, rows, left, bold, title, which) if to == "latex" else _markdown(heads, rows, left, bold)
+    if to == "markdown":
+        return _markdown(heads, rows, left, bold)
+    title = printable(results.meta["title"], 400) or which.capitalize()
+    return latex_table(heads, rows, left, max(len(keys) - 1, 0), bold, title)
 
 
 def _frame(results: Results, which: TableName) -> pd.DataFrame:
@@ -148,30 +151,6 @@ def _number(value: Any, name: str) -> str:
         return f"{100 * number:.0f}" if number in (0, 1) else f"{100 * number:.3g}"
     text = f"{number:,.0f}" if name in COUNTS else number_text(number)
     return text.replace("-", "−")
-
-
-def _latex(heads: list[str], rows: list[list[str]], left: int, bold: list[bool], title: str, which: str) -> str:
-    """A table with the rules of booktabs; the best set is bold."""
-    wide = "l" * left + "r" * (len(heads) - left)
-    if which == "claims":
-        wide = "p{0.45\\linewidth}" + wide[1:]
-    lines = [
-        "% The preamble needs \\usepackage{booktabs}.",
-        "\\begin{table}",
-        "  \\centering",
-        f"  \\caption{{{latex_text(printable(title, 400)) or which.capitalize()}}}",
-        f"  \\begin{{tabular}}{{{wide}}}",
-        "    \\toprule",
-        "    " + " & ".join(map(latex_text, heads)) + " \\\\",
-        "    \\midrule",
-    ]
-    for row, strong in zip(rows, bold, strict=True):
-        cells = [latex_text(cell) for cell in row]
-        cells[0] = re.sub(r"^(?=[\[*])", "{}", cells[0])  # after a line end, [ and * would be its options
-        if strong:
-            cells = [f"\\textbf{{{cell}}}" if i == left - 1 else cell for i, cell in enumerate(cells)]
-        lines.append("    " + " & ".join(cells) + " \\\\")
-    return "\n".join([*lines, "    \\bottomrule", "  \\end{tabular}", "\\end{table}", ""])
 
 
 def _markdown(heads: list[str], rows: list[list[str]], left: int, bold: list[bool]) -> str:

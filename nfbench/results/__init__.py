@@ -11,14 +11,14 @@ from .results import Results
 from .store import Store
 
 if TYPE_CHECKING:
-    from .choosing import choose
+    from .choosing import choose, overviews
     from .comparison import Comparison, compare
     from .evidence import Evidence
     from .export_as_coco import export_coco
     from .export_as_csv import export_csv
     from .export_as_ioh import export_ioh
     from .export_as_parquet import export_parquet
-    from .hits import Hits, Progress, find_hits, find_progress, targets_of
+    from .hits import Hits, Progress, find_hits, find_progress, find_progresses, targets_of
     from .merging import merge, missing_shards
     from .redrawing import Redrawing
     from .references import label_of
@@ -41,12 +41,14 @@ __all__ = [
     "export_parquet",
     "find_hits",
     "find_progress",
+    "find_progresses",
     "from_cell",
     "label_of",
     "locked",
     "merge",
     "missing_shards",
     "network_file_system",
+    "overviews",
     "prepare",
     "targets_of",
     "write_whole",
@@ -54,6 +56,7 @@ __all__ = [
 
 _MODULES = {
     "choose": "choosing",
+    "overviews": "choosing",
     "Comparison": "comparison",
     "compare": "comparison",
     "Evidence": "evidence",
@@ -61,6 +64,7 @@ _MODULES = {
     "Progress": "hits",
     "find_hits": "hits",
     "find_progress": "hits",
+    "find_progresses": "hits",
     "targets_of": "hits",
     "export_coco": "export_as_coco",
     "export_csv": "export_as_csv",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,14 +11,26 @@ import numpy as np
 import pandas as pd
 from numpy import ndarray
 
-from nfbench.analysis import Choice, Request, Target, answer, cells_of, parse_targets, same_value, swept_columns
+from nfbench.analysis import (
+    Choice,
+    Overview,
+    Request,
+    Target,
+    answer,
+    cells_of,
+    overview,
+    parse_targets,
+    same_value,
+    swept_columns,
+)
 from nfbench.core import OptionError, Status, suggest
 from nfbench.study import swept_column
 
+from .evidence import Evidence
 from .hits import GRADIENT_COST, Hits, find_hits
 from .results import Results
 
-__all__ = ["choose", "target_named"]
+__all__ = ["choose", "overviews", "target_named"]
 
 _KINDS = {"error": "error", "gap": "gap", "bounds": "error_in_bounds", "error_in_bounds": "error_in_bounds"}
 
@@ -73,6 +85,30 @@ def choose(
     labels = [wanted.label, *(each.label for each in evidence.targets if each != wanted)]
     points = {label: cells_of(rows[rows["target"] == label], parallel) for label in labels}
     return answer(points, wanted.label, request, [*notes, *hits.notes])
+
+
+def overviews(
+    evidence: Evidence, reliability: float = 0.95, named: Callable[[str, Any], str] | None = None
+) -> list[Overview]:
+    """Return what a study recommends for each of its targets, in their order.
+
+    evidence: the conclusions of the study. reliability: share of scenes that must reach the target.
+    named: function that returns a swept value in words such as "SNR = 20 dB", from its key and value; None for those of
+        the table.
+    """
+    request = Request(reliability=reliability)
+    labels = [target.label for target in evidence.targets if (evidence.hits.frame["target"] == target.label).any()]
+    rows, notes = _rows(evidence.runs, evidence.hits, request)
+    rows = _chosen(rows, {})
+    points = {label: cells_of(rows[rows["target"] == label]) for label in labels}
+    if named is not None:
+        points = {label: [(_renamed(swept, named), cells) for swept, cells in each] for label, each in points.items()}
+    return [overview(points, label, request, [*notes, *evidence.hits.notes]) for label in labels]
+
+
+def _renamed(swept: Mapping[str, Any], named: Callable[[str, Any], str]) -> dict[str, Any]:
+    texts = (named(key, value).rpartition(" = ")[::2] for key, value in swept.items())
+    return dict(texts)
 
 
 def target_named(target: str | Target | None, known: Sequence[Target]) -> Target:

@@ -78,7 +78,8 @@ class Curves:
     ) -> None:
         self._measures = measures
         self._results, self._error, self._redrawing = results, error, redrawing
-        self._row = {run_id: i for i, run_id in enumerate(runs["run_id"])}
+        self._ids = runs["run_id"].tolist()
+        self._row = {run_id: i for i, run_id in enumerate(self._ids)}
         self._ok = (runs["status"] == Status.OK).to_numpy()
         self._final = _column(runs, error)
         self._evaluations, self._runtime_s = _column(runs, "evaluations"), _column(runs, "runtime_s")
@@ -106,7 +107,9 @@ class Curves:
         return notes
 
     def __iter__(self) -> Iterator[Curve]:
-        for run in self._results.traced_runs(lenient=True):
+        # scene by scene, so that each scene is drawn once for all runs on it
+        order = [self._ids[i] for i in np.argsort(self._seed, kind="stable").tolist()]
+        for run in self._results.traced_runs(lenient=True, only=order):
             row = self._row.get(run.run_id)
             self._damaged += bool(run.damage)
             if row is not None and run.traces and len(run.traces[0]) and run.status != Status.INVALID:

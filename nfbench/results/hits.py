@@ -22,7 +22,7 @@ from .reader import Reader
 from .redrawing import Redrawing
 from .references import canonical
 
-__all__ = ["GRADIENT_COST", "Hits", "Progress", "find_hits", "find_progress", "targets_of"]
+__all__ = ["GRADIENT_COST", "Hits", "Progress", "find_hits", "find_progress", "find_progresses", "targets_of"]
 
 VERSION = 3  # of what is computed here; a file of another version is recomputed
 GRADIENT_COST = 1.3  # evaluations that a gradient adds; measured 0.9 to 1.8 on ESF and RLS (16 to 128 elements)
@@ -136,18 +136,39 @@ def find_progress(
 
     Raises ValueError if the measure is unknown, and StoreError if the folder holds no results or they are damaged.
     """
-    if measure not in ("gap", "error"):
-        raise ValueError(f"measure: expected 'gap' or 'error', got {measure!r}")
+    return find_progresses(results, (measure,), runs=runs, methods=methods)[measure]
+
+
+def find_progresses(
+    results: Reader,
+    measures: Sequence[Literal["gap", "error"]],
+    *,
+    runs: pd.DataFrame | None = None,
+    methods: Sequence[str] | None = None,
+) -> dict[str, Progress]:
+    """Return the same as ``find_progress`` for several measures, for which the traces are read once."""
+    for measure in measures:
+        if measure not in ("gap", "error"):
+            raise ValueError(f"measure: expected 'gap' or 'error', got {measure!r}")
     runs = _with_budgets(results.runs if runs is None else runs, results.meta)
     wanted = runs["method"].isin(runs["method"] if methods is None else list(methods)).to_numpy()
-    if measure == "gap":
-        wanted = wanted & (runs["solver"] != "").to_numpy()
-    curves = Curves(results, runs, results.meta["error"], Redrawing(results.folder), (measure,))
+    curves = Curves(results, runs, results.meta["error"], Redrawing(results.folder), measures)
     parts = [curve for curve in curves if wanted[curve.row]]
+    notes = tuple(curves.notes)
+    found: dict[str, Progress] = {}
+    for measure in measures:
+        own = wanted & (runs["solver"] != "").to_numpy() if measure == "gap" else wanted
+        chosen = [curve for curve in parts if curve.measure == measure and own[curve.row]]
+        found[measure] = Progress(_falling(runs, chosen, own, measure == "gap"), notes)
+    return found
+
+
+def _falling(runs: pd.DataFrame, parts: Sequence[Curve], wanted: ndarray, gap: bool) -> pd.DataFrame:
+    """The curves of one measure as a frame, with a row of ∞ for each wanted run without a curve."""
     spent = _evaluations(runs)[:, None].copy()
     for curve in parts:
         spent[curve.row] = curve.spent
-    caps, spent = _caps(runs, spent, [measure == "gap"])
+    caps, spent = _caps(runs, spent, [gap])
     lacking = np.flatnonzero(wanted & ~np.isin(np.arange(len(runs)), [curve.row for curve in parts]))
     seconds = _spent_s(runs)
     never = [np.array([np.inf])] * len(lacking)
@@ -161,8 +182,7 @@ def find_progress(
         cap=caps[row, 0],
         at_end=np.isin(row, [curve.row for curve in parts if curve.at_end and curve.spent > 0]),
     )
-    order = np.argsort(row, kind="stable")
-    return Progress(frame.iloc[order].reset_index(drop=True), tuple(curves.notes))
+    return frame.iloc[np.argsort(row, kind="stable")].reset_index(drop=True)
 
 
 def _found(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
@@ -33,5 +33,8 @@ class Reader(Protocol):
     def meta(self) -> dict[str, str]:
         """The properties of the study, as text."""
 
-    def traced_runs(self, lenient: bool = False) -> Iterator[TracedRun]:
-        """Yield every finished run with its method and traces, in order; if lenient, also those with damaged traces."""
+    def traced_runs(self, lenient: bool = False, only: Sequence[str] | None = None) -> Iterator[TracedRun]:
+        """Yield every finished run with its method and traces, in order; if lenient, also those with damaged traces.
+
+        only: identifiers of runs; only these are read, in this order.
+        """

@@ -162,13 +162,14 @@ class Results:
         with Store(self.folder) as store:
             yield from store.traces()
 
-    def traced_runs(self, lenient: bool = False) -> Iterator[TracedRun]:
+    def traced_runs(self, lenient: bool = False, only: Sequence[str] | None = None) -> Iterator[TracedRun]:
         """Yield every finished run with its method and traces, in order. Runs are read in pages.
 
         lenient: whether a run whose traces are damaged is yielded without them, instead of raising StoreError.
+        only: identifiers of runs; only these are read, in this order.
         """
         with Store(self.folder) as store:
-            yield from store.traced_runs(lenient)
+            yield from store.traced_runs(lenient, only)
 
     def estimates(self) -> Iterator[tuple[str, Any]]:
         """Yield (run_id, estimate as nested lists) of every finished run that has an estimate, in order."""

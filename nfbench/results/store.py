@@ -15,6 +15,7 @@ from nfbench.study import RunRecord, Study
 
 from .damage import Damaged, guarded, patiently, remedy
 from .folder import FolderLock, clean, locked, network_file_system
+from .pages import pages
 from .position_table import PositionTable
 from .reference_table import ReferenceTable
 from .rows import TracedRun, plan_row, result_row
@@ -33,7 +34,6 @@ READ_WAIT_S = 6.0  # how long a reader waits for a file that another program has
 WRITE_WAIT_S = 600.0  # how long a running study waits, because its finished runs would be lost [s]
 _ATTEMPT_S = 1.0  # after which SQLite returns to us, so that Ctrl-C works
 _LARGEST = 2**28  # bytes of a cell
-_PAGE = 256  # runs that are read at once, with their traces
 _DESCRIBED = ("name", "seed", "title", "expect", "error", "outlier_m")
 
 
@@ -195,19 +195,14 @@ class Store:
             except Exception as error:
                 raise ValueError(f"table results, row {run_id!r}, column traces: {error}") from error
 
-    def traced_runs(self, lenient: bool = False) -> Iterator[TracedRun]:
-        """Yield every finished run of the plan with its traces, in order.
+    def traced_runs(self, lenient: bool = False, only: Sequence[str] | None = None) -> Iterator[TracedRun]:
+        """Yield finished runs of the plan with their traces; see ``pages`` for ``only`` and the order.
 
         lenient: whether a run whose traces are damaged is yielded without them. Otherwise Damaged is raised.
-
-        Runs are read in pages, so that a slow reader neither fills the memory nor blocks the writer.
         """
-        names = ("ordinal", "run_id", "formulation", "solver", "method", "repetition", "status", "swept", "traces")
-        source = "FROM plan JOIN results USING (run_id) WHERE ordinal > ? ORDER BY ordinal LIMIT ?"
+        names = ("formulation", "solver", "method", "repetition", "status", "swept", "traces")
         self._check_plan()
-        page: list[list[Any]] = [[-1]]
-        while page:
-            page = [values for values, _ in self.checked("results", names, source, [page[-1][0], _PAGE])]
+        for page in pages(self.checked, names, only):
             for _, run_id, formulation, solver, method, repetition, status, swept, blob in page:
                 about = (run_id, formulation, solver, method, repetition, status, settings(swept))
                 try:

@@ -32,7 +32,7 @@ def test_one_method_that_beats_the_others_is_recommended():
         "100 evaluations per hit."
     )
     assert sure == (
-        "On 40 scenes the other 2 methods are significantly less reliable (the risk of any wrong exclusion is at most "
+        "On 40 scenes, the other 2 methods are significantly less reliable (the risk of any wrong exclusion is at most "
         "5 %)."
     )
 
@@ -45,7 +45,7 @@ def test_the_methods_that_each_stage_excludes_are_counted():
     which, sure = said(outcomes(hits, error, cost))
     assert which.startswith("Use method 0: it reached")
     assert sure.startswith(
-        "On 40 scenes of the other 4 methods 2 are significantly less reliable, 1 less accurate and 1 more expensive ("
+        "On 40 scenes, 2 of the other 4 methods are significantly less reliable, 1 less accurate and 1 more expensive ("
     )
 
 
@@ -55,7 +55,7 @@ def test_methods_that_cannot_be_distinguished_are_named():
     which, sure = said(outcomes(hits))
     first, other = ("method 0", "method 1") if "method 0" in which else ("method 1", "method 0")
     assert which.startswith(f"Use {first}: it reached")
-    assert sure.startswith(f"On 40 scenes {other} cannot be distinguished from it; the other method is significantly")
+    assert sure.startswith(f"On 40 scenes, {other} cannot be distinguished from it; the other method is significantly")
 
 
 def test_without_losers_no_risk_is_stated():

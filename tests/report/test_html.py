@@ -12,6 +12,7 @@ from small_study import Page, external, run_in
 import nfbench
 from nfbench import NfbenchError, Status, StoreError, load_study
 from nfbench.core import printable
+from nfbench.problems.near_field.instance import NearFieldInstance
 from nfbench.report import html_report, write_html
 from nfbench.report.html.study import numbers
 from nfbench.results import Store
@@ -56,7 +57,7 @@ def test_the_page_answers_the_five_questions(page, results):
     best = ranking.frame[ranking.frame["scenario.snr_db"].astype(str) == "all"]
     best = best[best["in_best_set"].astype(bool)]["method"].tolist()
     assert f"Use {best[0]}: it reached error ≤ 3 bounds in " in page.text
-    assert "On 14 scenes" in page.text
+    assert "On 14 scenes, " in page.text
     assert f"{best[0]} misses error ≤ 3 bounds in " in page.text
     assert "nfbench run manifest.toml --out results/small" in page.text
     assert "Expected before the study: DE beats random search" in page.text
@@ -71,7 +72,7 @@ def test_the_scenes_that_the_recommended_method_misses_are_listed(page, results)
         first = missed.iloc[0]
         assert f"in {len(missed)} of 28 scenes: {first['scene']} (SNR = {first['scenario.snr_db']:g} dB)" in page.text
     else:
-        assert "in none of the 28 scenes" in page.text
+        assert "in none of 28 scenes, 14 at each of 2 swept points" in page.text
 
 
 def test_claims_have_their_verdict_and_numbers(page, results):
@@ -146,12 +147,28 @@ def test_the_progress_of_the_gap_ends_at_the_final_gap(page, results):
     assert median[-1] == pytest.approx(own["gap"].median(), rel=1e-3)
 
 
-def test_a_landscape_is_a_small_picture_over_the_box(page):
-    first = page.data["landscapes"][0]
-    assert (first["point"], first["scene"], first["unknowns"]) == (0, 0, 2)
-    assert first["png"].startswith("iVBOR") and len(first["png"]) < 20_000
+def test_a_landscape_is_a_small_picture_of_a_cut_with_the_true_positions(page, results):
+    landscapes = page.data["landscapes"]
+    first = [each for each in landscapes if (each["point"], each["scene"]) == (0, 0)]
+    assert [each["name"] for each in first] == ["RLS", "ESF", "MUSIC spectrum"]
+    row = results.positions.query("scene == 0").iloc[0]
+    azimuth = math.degrees(math.atan2(row["true_y_m"], row["true_x_m"]))
+    for each in landscapes:
+        assert each["png"].startswith("iVBOR") and len(each["png"]) < 40_000
+        assert each["axes"] == ["Azimuth [°]", "Range [m]"] and each["box"] == [-50, 50, 0.05, 0.2]
+    for each in first:
+        assert each["marks"][0] == pytest.approx([azimuth, math.hypot(row["true_x_m"], row["true_y_m"])], rel=1e-3)
+    clear = [each for each in landscapes if each["point"] == 1 and each["name"] == "ESF"]
+    assert clear and all(each["lowest"][0] == pytest.approx(each["marks"][0][0], abs=5) for each in clear)
+
+
+def test_without_cuts_a_landscape_is_that_of_the_first_problem(monkeypatch, results):
+    monkeypatch.setattr(NearFieldInstance, "cuts", lambda self: ())
+    first = Page(html_report(results)).data["landscapes"][0]
+    assert (first["name"], first["point"], first["scene"], first["unknowns"]) == ("neef", 0, 0, 2)
+    assert first["marks"] == [] and first["axes"] == ["unknown 1", "unknown 2"]
     low, high = first["box"][:2]
-    assert low <= first["best"][0] <= high
+    assert low <= first["lowest"][0] <= high
 
 
 def test_nothing_is_loaded_from_elsewhere(text, page):

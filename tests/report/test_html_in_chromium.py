@@ -69,6 +69,10 @@ def test_all_figures_are_drawn_without_a_message(folder):
     for name, part in parts.items():
         assert "<canvas" in part.split("<section", 1)[0], name
     assert 'href="data:image/png;base64,' in document
+    shown = document.split('<script type="application/json"', 1)[0]
+    assert "[object" not in shown and "undefined" not in shown
+    landscapes = shown.split('id="scene-landscapes"', 1)[1].split("</section", 1)[0]
+    assert landscapes.count("<image") == 3 and landscapes.count("<path") == 2 * 3  # a star has a dark outline
     assert re.search(r'id="methods-table">.*?<tbody><tr.*?neef \+ de', document, re.DOTALL)
 
 

@@ -9,6 +9,7 @@ import pytest
 from conftest import BASIC
 
 import nfbench
+import nfbench.results.pages
 import nfbench.results.store
 from nfbench import StoreError, load_study
 from nfbench.cli import main
@@ -281,7 +282,7 @@ def test_the_table_has_the_traces_with_the_keys_of_their_runs(several, monkeypat
     )
     runs = several.runs.set_index("run_id")[added]
     pd.testing.assert_frame_equal(table[added], runs.loc[table.run_id].reset_index(drop=True), check_dtype=False)
-    monkeypatch.setattr(nfbench.results.store, "_PAGE", 3)
+    monkeypatch.setattr(nfbench.results.pages, "PAGE", 3)
     export_csv(several, several.folder / "by threes" / "again.csv")
     assert (several.folder / "by threes" / "again.csv").read_bytes() == whole
 
@@ -293,6 +294,19 @@ def test_traces_are_unpacked_one_run_at_a_time(several, monkeypatch):
         runs = store.traced_runs()
         next(runs), next(runs)
         assert len(unpacked) == 2
+
+
+def test_chosen_runs_are_read_in_the_wanted_order(several, monkeypatch):
+    ids = several.runs["run_id"].tolist()
+    wanted = [ids[4], "unknown", ids[1], ids[3], ids[0]]
+    monkeypatch.setattr(nfbench.results.pages, "PAGE", 2)
+    whole = {run.run_id: run for run in several.traced_runs()}
+    found = list(several.traced_runs(only=wanted))
+    assert [run.run_id for run in found] == [ids[4], ids[1], ids[3], ids[0]]
+    for run in found:
+        assert run.method == whole[run.run_id].method
+        for trace, other in zip(run.traces, whole[run.run_id].traces, strict=True):
+            np.testing.assert_array_equal(trace.points, other.points)
 
 
 def test_swept_text_and_lists_are_kept(manifest, tmp_path):

@@ -4,17 +4,27 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pandas as pd
 
 from nfbench.analysis import ALL, Axis, Block, fixed_budget_table, runtime_distribution
-from nfbench.results import Progress, find_progress
+from nfbench.results import Progress, find_progresses
 
 from .study import Study, number, numbers
 
-__all__ = ["FIGURES", "after_budget", "bound_of", "budgets", "distributions", "measures", "progress", "rank_rows"]
+__all__ = [
+    "FIGURES",
+    "after_budget",
+    "bound_of",
+    "budgets",
+    "distributions",
+    "headings",
+    "measures",
+    "progress",
+    "rank_rows",
+]
 
 AXES: tuple[Axis, ...] = ("evaluations", "seconds")
 CELLS = 100_000  # numbers of all distributions together
@@ -28,8 +38,8 @@ def measures(study: Study) -> list[dict[str, Any]]:
     median = "median_m" if metres else f"{error}_median"
     unit = " [m]" if metres else ""
     listed: list[tuple[str, str, pd.DataFrame, float]] = [
-        (median, f"Median error{unit}" if metres else f"Median {error}", study.summary, 1.0),
-        (error, f"RMSE{unit}" if metres else f"RMS {error}", study.summary, 1.0),
+        (median, study.label("median", f"Median error{unit}" if metres else f"Median {error}"), study.summary, 1.0),
+        (error, study.label("rmse", f"RMSE{unit}" if metres else f"RMS {error}"), study.summary, 1.0),
         ("median_error_in_bounds", "Median error in bounds", study.summary, 1.0),
     ]
     if metres and (study.summary["outlier_rate"] > 0).any():
@@ -44,7 +54,7 @@ def measures(study: Study) -> list[dict[str, Any]]:
         ]
     listed += [
         ("evaluations", "Evaluations per run", study.summary, 1.0),
-        ("runtime_s", "Time per run [s]", study.summary, 1.0),
+        ("runtime_s", study.label("runtime", "Time per run [s]"), study.summary, 1.0),
     ]
     found = [_measure(study, *each) for each in listed if each[0] in each[2].columns]
     return [each for each in found if any(v not in (None, "inf") for row in each["value"] for v in row)]
@@ -58,7 +68,8 @@ def _measure(study: Study, column: str, name: str, table: pd.DataFrame, factor: 
         if (place := study.place(row)) >= 0:
             for side in arrays:
                 arrays[side][study.index[row["method"]], place] = factor * row[sides[side]]
-    found: dict[str, Any] = {"name": name, "log": factor == 1.0, "bounded": name == "RMSE [m]"}
+    found: dict[str, Any] = {"name": name, "log": factor == 1.0, "bounded": column == "rmse_m"}
+    found["ert"] = column.startswith("ert")
     found |= {
         side: [numbers(row) for row in array]
         for side, array in arrays.items()
@@ -76,6 +87,14 @@ def bound_of(study: Study) -> list[Any] | None:
         if not math.isnan(row["crb_m"]):
             values[study.place(row)] = row["crb_m"]
     return numbers(values)
+
+
+def headings(study: Study) -> dict[str, str]:
+    """The headings of the table of methods that the manifest may name."""
+    unit = " [m]" if study.error == "rmse_m" else ""
+    defaults = {"median": f"median error{unit}", "rms": f"RMS error{unit}", "time": "time per run [s]"}
+    keys = {"median": "median", "rms": "rmse", "time": "runtime"}
+    return {name: study.label(keys[name], default) for name, default in defaults.items()}
 
 
 def rank_rows(study: Study) -> list[dict[str, Any]]:
@@ -142,12 +161,13 @@ def distributions(study: Study) -> dict[str, list[list[dict[int, Any]]]]:
 
 def _enter(study: Study, points: list[dict[int, Any]], table: pd.DataFrame, axis: Axis, method: int) -> None:
     """Enter the curves of one method and target, without the costs at which nothing changes."""
-    parts = [rows for _, rows in table.groupby(study.swept, sort=False)] if study.swept else [table]
-    for rows in parts:
-        share = (1000 * rows["share"].to_numpy(dtype=np.float64)).round().astype(int)
-        kept = np.append(True, np.diff(share) != 0)
+    places = np.array(study.places(table))
+    shares = (1000 * table["share"].to_numpy(dtype=np.float64)).round().astype(int)
+    costs = table[axis].to_numpy(dtype=np.float64)
+    for rows in np.split(np.arange(len(table)), np.flatnonzero(np.diff(places)) + 1):
+        kept = np.append(True, np.diff(shares[rows]) != 0)
         kept[-1] = True
-        points[study.place(rows.iloc[0].to_dict())][method] = [numbers(rows[axis][kept]), share[kept].tolist()]
+        points[places[rows[0]]][method] = [numbers(costs[rows][kept]), shares[rows][kept].tolist()]
 
 
 def budgets(study: Study) -> list[str]:
@@ -156,23 +176,30 @@ def budgets(study: Study) -> list[str]:
     return list(dict.fromkeys([*first, *study.methods]))[:FIGURES]
 
 
-def progress(study: Study, measure: str) -> Progress | None:
-    """How the gap or the error of the runs of ``budgets`` fell; None if no such run has one."""
+def progress(study: Study) -> dict[str, Progress]:
+    """How the error and the gap of the runs of ``budgets`` fell, as far as there are any."""
     evidence, runs = study.evidence, study.evidence.runs
-    if measure == "gap":  # of which the reference may come from a run of another method
-        gaps, bests = evidence.hits.gaps, evidence.hits.bests
-        if gaps is None or bests is None or not np.isfinite(gaps).any():
-            return None
-        runs = runs.assign(optimum=bests - gaps)
-    elif study.error not in runs.columns:
-        return None
-    chosen = runs[runs["method"].isin(budgets(study))]
-    return find_progress(study.results, measure, runs=chosen)  # type: ignore[arg-type]
+    measures: list[Literal["gap", "error"]] = ["error"] if study.error in runs.columns else []
+    gaps, bests = evidence.hits.gaps, evidence.hits.bests
+    if gaps is not None and bests is not None and np.isfinite(gaps).any():
+        measures.append("gap")
+        runs = runs.assign(optimum=bests - gaps)  # of which the reference may come from a run of another method
+    return find_progresses(study.results, measures, runs=runs[runs["method"].isin(budgets(study))])
+
+
+def _budgets(frame: pd.DataFrame) -> list[float]:
+    """1, 2, 5, 10, … and the cap of each method, so that every curve ends at its own budget."""
+    caps = frame["cap"].to_numpy(dtype=np.float64)
+    caps = np.unique(caps[caps > 0])
+    if not len(caps):
+        return [0.0]
+    steps = (float(f"{factor}e{k}") for k in range(math.ceil(math.log10(caps[-1])) + 1) for factor in (1, 2, 5))
+    return sorted({*(step for step in steps if step <= caps[-1]), *caps.tolist()})
 
 
 def after_budget(study: Study, found: Progress) -> list[dict[str, Any]]:
     """The median with its interval after each budget at each point: ``{"x": …, "m": {method: [value, low, high]}}``."""
-    table = fixed_budget_table(found.frame)
+    table = fixed_budget_table(found.frame, _budgets(found.frame))
     points: list[dict[str, Any]] = [{"x": [], "m": {}} for _ in study.points]
     for _, rows in table.groupby([*study.swept, "method"], sort=False):
         first = rows.iloc[0].to_dict()

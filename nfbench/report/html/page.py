@@ -18,6 +18,7 @@ from nfbench.results import Results, write_whole
 
 from ..terminal import number_text
 from . import comparison, provenance, scenes
+from .choices import choices
 from .redrawn import Redrawn
 from .study import Study, numbers
 
@@ -60,6 +61,7 @@ def html_report(results: Results) -> str:
         lstrip_blocks=True,
     )
     environment.filters |= {"number": _number, "percent": _percent, "printable": printable}
+    environment.filters["first_sentence"] = lambda text: text.partition(". ")[0].rstrip(".") + "."
     return environment.get_template("report.html.j2").render(context)
 
 
@@ -81,10 +83,13 @@ def _context(study: Study, redrawn: Redrawn) -> dict[str, Any]:
         "table": tables[0] if tables else None,
         "methods": [printable(name) for name in study.methods],
         "points": study.points,
+        "choices": choices(study),
+        "heads": comparison.headings(study),
         "claims": study.evidence.claims().to_dict("records"),
         "failures": _failures(runs),
         "proofs": _proofs(study),
-        "scenario": provenance.scenario_rows(study.results.folder),
+        "contradicted": _contradicted(study),
+        "scenario": provenance.scenario_rows(study.results.folder, study.labels),
         "array": _array_facts(redrawn),
         "reason": redrawn.reason,
         "origin": provenance.origin(study.results.folder, meta["name"]),
@@ -99,7 +104,7 @@ def _data(study: Study, redrawn: Redrawn) -> tuple[dict[str, Any], list[str]]:
     """What the scripts read, and sentences about what is left out."""
     notes = []
     chosen = scenes.chosen_scenes(study)
-    found = {measure: comparison.progress(study, measure) for measure in ("error", "gap")}
+    found = comparison.progress(study)
     best = comparison.budgets(study)
     if len(best) < len(study.methods):
         notes.append(f"Error against budget is shown for {len(best)} of {len(study.methods)} methods, the best ones.")
@@ -130,11 +135,11 @@ def _data(study: Study, redrawn: Redrawn) -> tuple[dict[str, Any], list[str]]:
         "measures": comparison.measures(study),
         "bound": comparison.bound_of(study),
         "distributions": comparison.distributions(study),
-        "progress": {name: comparison.after_budget(study, each) for name, each in found.items() if each is not None},
+        "progress": {name: comparison.after_budget(study, each) for name, each in found.items()},
         "scenes": scenes.outcome_tables(study),
         "places": scenes.places(study, redrawn, chosen),
         "traces": {name: scenes.traces(study, each, chosen) for name, each in found.items()},
-        "landscapes": [{**each, "formulation": printable(each["formulation"])} for each in landscapes],
+        "landscapes": landscapes,
         "elements": None if survey is None else [numbers(element) for element in survey.elements[:2000]],
     }
     return data, notes
@@ -174,9 +179,10 @@ def _fails(study: Study, method: str) -> str:
         total, target = total + len(each.scenes), each.target or target
         missed += [(label, scene) for scene in np.array(each.scenes)[each.hits[:, i] < each.runs[i]]]
     goal = study.goal(target) or "an estimate"
-    if not missed:
-        return f"{method} misses {goal} in none of the {total} scenes of the study."
     single = len(study.points) == 1
+    if not missed:
+        where = "" if single else f", {total // len(study.points)} at each of {len(study.points)} swept points"
+        return f"{method} misses {goal} in none of {total} scenes{where}."
     listed = ", ".join(f"{scene}" if single else f"{scene} ({label})" for label, scene in missed[:NAMED])
     more = f" and {len(missed) - NAMED} more" if len(missed) > NAMED else ""
     return f"{method} misses {goal} in {len(missed)} of {total} scenes: {listed}{more}."
@@ -203,16 +209,19 @@ def _failures(runs: pd.DataFrame) -> list[dict[str, Any]]:
     return sorted(found, key=lambda each: -each["runs"])[:MESSAGES]
 
 
-def _proofs(study: Study) -> list[str]:
+def _proofs(study: Study) -> str:
     references = study.evidence.references
     if not len(references):
-        return []
-    wrong = study.evidence.contradictions
-    found = [f"{int(references['certified'].sum()) - len(wrong)} of {len(references)} optima are proven."]
-    return found + [
+        return ""
+    proven = int(references["certified"].sum()) - len(study.evidence.contradictions)
+    return f"In this study, {proven} of {len(references)} optima are proven."
+
+
+def _contradicted(study: Study) -> list[str]:
+    return [
         f"A certificate is wrong: {printable(row['contradicted_by'])} found a value below the certified optimum of "
         f"scene {row['scene']}."
-        for row in wrong.head(NAMED).to_dict("records")
+        for row in study.evidence.contradictions.head(NAMED).to_dict("records")
     ]
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shlex
 import tomllib
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -37,8 +38,8 @@ def origin(folder: Path, name: str) -> dict[str, Any]:
     }
 
 
-def scenario_rows(folder: Path) -> list[tuple[str, str]]:
-    """The options of the scenario and what is swept, as the manifest has them."""
+def scenario_rows(folder: Path, labels: Mapping[str, str]) -> list[tuple[str, str]]:
+    """The options of the scenario and what is swept, as the manifest has them, with its labels of swept keys."""
     try:
         table = tomllib.loads(_text(folder / "manifest.toml"))
     except tomllib.TOMLDecodeError:
@@ -46,7 +47,10 @@ def scenario_rows(folder: Path) -> list[tuple[str, str]]:
     scenario, sweep = table.get("scenario"), table.get("sweep")
     rows = [(key, _value(value)) for key, value in scenario.items()] if isinstance(scenario, dict) else []
     if isinstance(sweep, dict):
-        rows += [(f"swept: {key}", _value(value)) for key, value in sweep.items()]
+        named = {key: labels.get(key.removeprefix("scenario."), "") for key in sweep}
+        rows += [
+            (f"swept: {key}", _value(value) + f" ({named[key]})" * bool(named[key])) for key, value in sweep.items()
+        ]
     return [(printable(key), printable(value, 400)) for key, value in rows]
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy import ndarray
 from PIL import Image
 
-from nfbench.core import Formulation, Instance, NfbenchError, Problem, Survey, explain
+from nfbench.core import Cut, Formulation, Instance, NfbenchError, Problem, Survey, explain, printable
 from nfbench.results import Redrawing, cell
 from nfbench.study import load_scenarios
 
@@ -22,7 +22,9 @@ from .study import Study, numbers
 __all__ = ["Redrawn"]
 
 SIDE = 72  # pixels of a landscape
-PICTURES = 12  # landscapes in a page
+CUT = (240, 90)  # pixels of a cut
+PICTURES = 12  # landscapes of first problems in a page
+SCENES = 5  # with cuts in a page
 LEVELS = 64  # shades of a landscape
 Places = tuple[ndarray, ndarray]
 
@@ -91,23 +93,48 @@ class Redrawn:
             return None
 
     def landscapes(self, scenes: Sequence[tuple[int, Any]], formulations: Sequence[str]) -> list[dict[str, Any]]:
-        """Pictures of the first problem of each formulation in the first of these scenes."""
+        """Pictures of what is minimized in the first of these scenes.
+
+        They are the cuts that the instances name or, where these have none, the first problem of each formulation over
+        its first two unknowns, through the best point of any run.
+        """
         if self.reason:
             return []
+        found = self._cuts(scenes[:SCENES])
+        return found or self._first_problems(scenes, formulations)
+
+    def _cuts(self, scenes: Sequence[tuple[int, Any]]) -> list[dict[str, Any]]:
+        found = []
+        for point, scene in scenes:
+            instance = self.instance(point, self._seeds[point, scene])
+            if instance is None:
+                continue
+            try:
+                cuts = list(instance.cuts())
+                pictures = [_cut(cut) for cut in cuts]
+            except Exception as error:  # of a plugin
+                raise NfbenchError(f"the landscape cannot be drawn: {explain(error)}") from error
+            found += [{"point": point, "scene": int(scene), **picture} for picture in pictures]
+        return found
+
+    @cached_property
+    def _seeds(self) -> dict[tuple[int, Any], int]:
+        runs = self._study.runs
+        rows = runs.drop_duplicates([*self._study.swept, "scene"])
+        return {(self._study.place(row), row["scene"]): int(row["instance_seed"]) for row in rows.to_dict("records")}
+
+    def _first_problems(self, scenes: Sequence[tuple[int, Any]], formulations: Sequence[str]) -> list[dict[str, Any]]:
         wanted = [(point, scene, label) for point, scene in scenes for label in formulations][:PICTURES]
-        runs, best = self._study.runs, self._best_points(wanted)
+        best = self._best_points(wanted)
         found = []
         for point, scene, label in wanted:
-            key = (point, scene, label)
-            same = runs[(runs["scene"] == scene) & (runs["formulation"] == label)]
             formulation = self._redrawing.formulation(label)
-            if key not in best or formulation is None or same.empty:
+            if (point, scene, label) not in best or formulation is None:
                 continue
-            seeds = [row["instance_seed"] for row in same.to_dict("records") if self._study.place(row) == point]
-            instance = self.instance(point, int(seeds[0]))
-            picture = None if instance is None else _landscape(formulation, instance, best[key])
+            instance = self.instance(point, self._seeds[point, scene])
+            picture = None if instance is None else _landscape(formulation, instance, best[point, scene, label])
             if picture is not None:
-                found.append({"point": point, "scene": int(scene), "formulation": label, **picture})
+                found.append({"point": point, "scene": int(scene), "name": printable(label), **picture})
         return found
 
     def _best_points(self, wanted: Sequence[tuple[int, Any, str]]) -> dict[tuple[int, Any, str], ndarray]:
@@ -116,9 +143,10 @@ class Redrawn:
         rows = runs[runs["formulation"].isin({label for *_, label in wanted})].to_dict("records")
         keys = {row["run_id"]: (self._study.place(row), row["scene"], row["formulation"]) for row in rows}
         best: dict[tuple[int, Any, str], tuple[float, ndarray]] = {}
-        for run in self._study.results.traced_runs(lenient=True):
-            key = keys.get(run.run_id)
-            if key not in needed or not run.traces or not len(run.traces[0]):
+        only = [run_id for run_id, key in keys.items() if key in needed]
+        for run in self._study.results.traced_runs(lenient=True, only=only):
+            key = keys[run.run_id]
+            if not run.traces or not len(run.traces[0]):
                 continue
             value = float(run.traces[0].values[-1])
             if key not in best or value < best[key][0]:
@@ -150,7 +178,33 @@ def _landscape(formulation: Formulation, instance: Instance, best: ndarray) -> d
     except Exception as error:  # of a plugin
         raise NfbenchError(f"the landscape cannot be drawn: {explain(error)}") from error
     box = numbers([problem.lower[0], problem.upper[0], problem.lower[1], problem.upper[1]])
-    return {"png": _picture(values), "box": box, "best": numbers(best[:2], 6), "unknowns": problem.dimension}
+    return {
+        "png": _picture(values),
+        "box": box,
+        "axes": ["unknown 1", "unknown 2"],
+        "marks": [],
+        "lowest": numbers(best[:2], 6),
+        "unknowns": problem.dimension,
+    }
+
+
+def _cut(cut: Cut) -> dict[str, Any]:
+    """A plane through an objective, with the true positions and the lowest value of the picture."""
+    plane, scale = cut.plane(), np.array(cut.scale)
+    x, y = (np.linspace(low, high, n) for low, high, n in zip(plane.lower, plane.upper, CUT, strict=True))
+    points = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+    values = np.asarray(plane.evaluate(points), dtype=np.float64).reshape(len(y), len(x))
+    corners = np.array([[plane.lower[0], plane.lower[1]], [plane.upper[0], plane.upper[1]]]) * scale
+    return {
+        "name": printable(cut.name),
+        "png": _picture(values),
+        "box": numbers(corners.T.ravel()),
+        "axes": [printable(axis) for axis in cut.axes],
+        "marks": [numbers(mark) for mark in cut.marks * scale],
+        "lowest": numbers(points[int(np.nanargmin(values))] * scale, 6),
+        "unknowns": cut.problem.dimension,
+        "spectrum": cut.spectrum,
+    }
 
 
 def _picture(values: ndarray) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 import numpy as np
@@ -64,17 +64,25 @@ def traces(study: Study, found: Progress | None, scenes: Scenes) -> dict[int, di
         return {}
     names = {study.methods[i] for i in study.shown}
     frame = found.frame[found.frame["method"].isin(names) & (found.frame["run"] == 0)]
-    wanted = {(point, scene) for point, chosen in scenes.items() for scene in chosen}
     result: dict[int, dict[int, dict[int, Any]]] = {}
-    for _, rows in frame.groupby("run_id", sort=False):
-        first = rows.iloc[0].to_dict()
-        key = study.place(first), first["scene"]
-        if key not in wanted or not np.isfinite(rows["value"]).any():
-            continue
-        x, y = _thinned(rows["evaluations"].to_numpy(dtype=np.float64), rows["value"].to_numpy(dtype=np.float64))
-        scene = result.setdefault(key[0], {}).setdefault(int(key[1]), {})
-        scene[study.index[first["method"]]] = [numbers(x, 6), numbers(y, 3)]
+    x, y = (frame[name].to_numpy(dtype=np.float64) for name in ("evaluations", "value"))
+    for rows, point, number, method in _runs(study, frame, scenes):
+        if np.isfinite(y[rows]).any():
+            scene = result.setdefault(point, {}).setdefault(number, {})
+            thin = _thinned(x[rows], y[rows])
+            scene[method] = [numbers(thin[0], 6), numbers(thin[1], 3)]
     return result
+
+
+def _runs(study: Study, frame: pd.DataFrame, scenes: Scenes) -> Iterator[tuple[ndarray, int, int, int]]:
+    """Yield the rows of each run in one of these scenes, with its point, scene and method."""
+    code, _ = pd.factorize(frame["run_id"])
+    order = np.argsort(code, kind="stable")
+    places, methods, numbers_ = study.places(frame), frame["method"].tolist(), frame["scene"].tolist()
+    wanted = {(point, scene) for point, chosen in scenes.items() for scene in chosen}
+    for rows in np.split(order, np.flatnonzero(np.diff(code[order])) + 1):
+        if len(rows) and (places[rows[0]], numbers_[rows[0]]) in wanted:
+            yield rows, places[rows[0]], int(numbers_[rows[0]]), study.index[methods[rows[0]]]
 
 
 def _thinned(x: ndarray, y: ndarray) -> tuple[ndarray, ndarray]:
@@ -105,26 +113,21 @@ def places(study: Study, redrawn: Redrawn, scenes: Scenes) -> dict[int, dict[int
     for row in rows:
         pair = redrawn.positions(study.place(row), row, estimates.get(row["run_id"]), study.error)
         if pair is not None:
-            _enter(found, study, row, _triples(pair[0]), _triples(pair[1]))
+            scene = found.setdefault(study.place(row), {}).setdefault(
+                int(row["scene"]), {"truth": _triples(pair[0]), "found": {}}
+            )
+            scene["found"][study.index[row["method"]]] = _triples(pair[1])
     return found
 
 
 def _stored(study: Study, rows: pd.DataFrame, scenes: Scenes) -> dict[int, dict[int, Any]]:
     found: dict[int, dict[int, Any]] = {}
-    wanted = {(point, scene) for point, chosen in scenes.items() for scene in chosen}
-    for _, group in rows.groupby("run_id", sort=False):
-        first = group.iloc[0].to_dict()
-        if (study.place(first), first["scene"]) not in wanted:
-            continue
-        truth = group[["true_x_m", "true_y_m", "true_z_m"]].to_numpy(dtype=np.float64)
-        estimate = group[["x_m", "y_m", "z_m"]].to_numpy(dtype=np.float64)
-        _enter(found, study, first, _triples(truth[~np.isnan(truth).any(axis=1)]), _triples(estimate))
+    truth = rows[["true_x_m", "true_y_m", "true_z_m"]].to_numpy(dtype=np.float64)
+    estimate = rows[["x_m", "y_m", "z_m"]].to_numpy(dtype=np.float64)
+    for own, point, number, method in _runs(study, rows, scenes):
+        scene = found.setdefault(point, {}).setdefault(number, {"truth": _triples(truth[own]), "found": {}})
+        scene["found"][method] = _triples(estimate[own])
     return found
-
-
-def _enter(found: dict[int, dict[int, Any]], study: Study, row: dict[Any, Any], truth: Any, estimate: Any) -> None:
-    scene = found.setdefault(study.place(row), {}).setdefault(int(row["scene"]), {"truth": truth, "found": {}})
-    scene["found"][study.index[row["method"]]] = estimate
 
 
 def _triples(positions: Iterable[Iterable[float]]) -> list[list[Any]]:

@@ -13,8 +13,9 @@ import pandas as pd
 
 from nfbench.analysis import ALL, Block, Outcomes, outcomes, summarize, swept_columns
 from nfbench.core import printable
-from nfbench.figures import name_of, setting, text_of
+from nfbench.figures import name_of, places, setting, text_of
 from nfbench.results import Evidence, Results
+from nfbench.study import read_labels
 
 __all__ = ["Study", "number", "numbers", "words"]
 
@@ -67,27 +68,38 @@ class Study:
         return list(dict.fromkeys(zip(*columns, strict=True))) if columns else [()]
 
     @cached_property
+    def labels(self) -> dict[str, str]:
+        """The names of axes in the manifest of the folder, by key."""
+        return read_labels(self.results.folder / "manifest.toml")
+
+    def label(self, key: str, default: str) -> str:
+        """The manifest's name of an axis that every study has: "rmse", "median" or "runtime"."""
+        return printable(self.labels.get(key, default))
+
+    def setting(self, column: str, value: Any) -> str:
+        """A value of a swept column in words."""
+        return words(setting(column.removeprefix("scenario."), value, self.labels))
+
+    @cached_property
     def points(self) -> list[str]:
         """The label of each point."""
-        keys = [name.removeprefix("scenario.") for name in self.swept]
-        return [
-            words(", ".join(setting(key, value) for key, value in zip(keys, point, strict=True))) or "the only point"
-            for point in self.settings
-        ]
+        return [", ".join(map(self.setting, self.swept, point)) or "the only point" for point in self.settings]
 
     @cached_property
     def axes(self) -> list[dict[str, Any]]:
-        """The swept keys: name, texts of the values of the points, and numbers where all of them are."""
+        """The swept keys: name, texts of the values of the points, numbers where all of them are, and their scale."""
         found = []
         for i, name in enumerate(self.swept):
             values = [point[i] for point in self.settings]
-            numeric = all(isinstance(v, int | float | np.number) and not isinstance(v, bool | np.bool_) for v in values)
-            finite = numeric and all(math.isfinite(v) for v in values)
+            key = name.removeprefix("scenario.")
+            scale = places(key, values)
+            finite = scale is not None and scale.beyond is None
             found.append(
                 {
-                    "name": words(name_of(name.removeprefix("scenario."))),
+                    "name": words(name_of(key, self.labels)),
                     "texts": [words(text_of(value)) for value in values],
                     "values": numbers(values, 12) if finite else None,
+                    "log": scale is not None and scale.log,
                 }
             )
         return found
@@ -153,6 +165,13 @@ class Study:
     def place(self, row: dict[Any, Any]) -> int:
         """The point of a row of a table with the swept columns; -1 if it is of none."""
         return self._places.get(tuple(row[name] for name in self.swept), -1)
+
+    def places(self, table: pd.DataFrame) -> list[int]:
+        """``place`` of each row of a table."""
+        if not self.swept:
+            return [0] * len(table)
+        columns = (table[name].tolist() for name in self.swept)
+        return [self._places.get(values, -1) for values in zip(*columns, strict=True)]
 
     @cached_property
     def _places(self) -> dict[tuple[Any, ...], int]:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Annotated, ClassVar, NamedTuple, final
 
 import numpy as np
-from jaxtyping import Complex, Float
+from jaxtyping import Complex, Float, Int
 from numpy import ndarray
 
 from nfbench import Formulation, Ge, Incompatible, Instance, Minimize, Solution
@@ -101,11 +101,11 @@ class LinearPrediction(Formulation):
         noise = decompose(Y, K).noise
         line = _Line(manifold, instance.lower, instance.upper, min(M // 2, M - 2 * K - 2))
         R = Y @ Y.conj().T / Y.shape[1] - noise * np.eye(M)
-        theta = _predict(R, line, K)
+        theta, diagonals = _predict(R, line, K), _Antidiagonals.of(M, line.offset)
         for _ in range(self.sweeps):
             before = theta.copy()
             for k in range(len(theta)):
-                theta[k] = _isolate(R, line, theta, k)
+                theta[k] = _isolate(R, line, diagonals, theta, k)
             if np.allclose(_scaled(theta, line), _scaled(before, line), rtol=0, atol=CONVERGED):
                 break
         return refine_jointly(Y, manifold, line.lower, line.upper, theta) if self.refine else theta
@@ -191,28 +191,67 @@ def _predict(R: Complex[ndarray, "m m"], line: _Line, K: int) -> Float[ndarray, 
     return theta
 
 
-def _isolate(R: Complex[ndarray, "m m"], line: _Line, theta: Float[ndarray, "k d"], k: int) -> Float[ndarray, " d"]:
-    """Return source k, estimated again after the others are removed by an oblique projection."""
+class _Antidiagonals(NamedTuple):
+    """Where the entries R_mn of some anti-diagonals are, one in each row, and the weights of Kay (1989) for each pair.
+
+    A row has the first half of its anti-diagonal, m ascending, since a Hermitian R has the conjugates in the other
+    half, where the pairs of neighbours have the same products. What follows in the row has the weight 0.
+    """
+
+    p: Int[ndarray, " o"]
+    m: Int[ndarray, "o h"]
+    n: Int[ndarray, "o h"]
+    weights: Float[ndarray, "o h-1"]
+
+    @classmethod
+    def of(cls, M: int, offset: int) -> _Antidiagonals:
+        """Return the anti-diagonals from which an isolated source is estimated; the outermost are ±offset."""
+        p, i = np.unique(np.round(np.linspace(-offset, offset, OFFSETS)).astype(int)), np.arange(M // 2 + 1)
+        m, n = i + np.maximum(p, 0)[:, None], M - 1 - i - np.maximum(-p, 0)[:, None]
+        pairs, length = i[1:], M - np.abs(p)[:, None]  # pairs are counted from 1 to length − 1
+        twice = np.sign(length - 2 * pairs) + 1.0  # 1 for a pair in the middle, 0 beyond it
+        return cls(p, np.minimum(m, M - 1), np.maximum(n, 0), twice * pairs * (length - pairs))
+
+
+def _isolate(
+    R: Complex[ndarray, "m m"], line: _Line, diagonals: _Antidiagonals, theta: Float[ndarray, "k d"], k: int
+) -> Float[ndarray, " d"]:
+    """Return source k, estimated again after the others are removed by an oblique projection.
+
+    Of the covariance (I − E)R(I − E)ᴴ = R − A_o·B − C·A_oᴴ, B = G·R, C = (R − A_o·B)·Gᴴ, only the entries on the
+    anti-diagonals are computed.
+    """
     A = line.manifold.response(theta).T
     a, others = A[:, k], np.delete(A, k, axis=1)
-    across = others - np.outer(a, a.conj() @ others) / len(a)  # P⊥ of a, applied to the others
-    G = np.linalg.pinv(across, rcond=DEPENDENT)  # E = A_o·G with G = (A_oᴴP⊥A_o)⁻¹A_oᴴP⊥
-    left = R - others @ (G @ R)
-    R_k = left - (left @ G.conj().T) @ others.conj().T  # (I − E)R(I − E)ᴴ
+    across = np.linalg.qr(others - np.outer(a, a.conj() @ others) / len(a))  # P⊥ of a, applied to the others
+    G = _inverse(across.R) @ across.Q.conj().T  # E = A_o·G with G = (A_oᴴP⊥A_o)⁻¹A_oᴴP⊥
+    B = G @ R
+    C = B.conj().T - others @ (B @ G.conj().T)  # R is Hermitian
+    p, m, n, weights = diagonals
+    z = R[m, n] - np.sum(others[m] * B.T[n] + C[m] * others.conj()[n], axis=2)
     sine, curvature = line.sine_and_curvature(theta[k])
-    offsets = np.unique(np.round(np.linspace(-line.offset, line.offset, OFFSETS)).astype(int))
-    centres = offsets * line.spacing / 2
-    expected = line.turn * (sine - curvature * centres)
-    turns = np.array([_turn(_antidiagonal(R_k, p), phi) for p, phi in zip(offsets, expected, strict=True)])
-    lengths = len(R) - np.abs(offsets)
-    return line.source(*regress(turns / line.turn, centres, lengths**3.0))
+    centres = p * line.spacing / 2
+    turns = _turns(z, weights, line.turn * (sine - curvature * centres))
+    return line.source(*regress(turns / line.turn, centres, (len(R) - np.abs(p)) ** 3.0))
 
 
-def _turn(z: Complex[ndarray, " n"], expected: float) -> float:
-    """Return the phase from one entry of an exponential to the next, near the expected one [rad].
+def _inverse(R: Complex[ndarray, "k k"]) -> Complex[ndarray, "k k"]:
+    """Return R⁻¹, or the pseudoinverse if a singular value is below DEPENDENT times the largest."""
+    if np.diag(R).all():
+        inverse: ndarray = np.linalg.inv(R)
+        if np.linalg.norm(R) * np.linalg.norm(inverse) < 1 / DEPENDENT:
+            return inverse
+    pseudoinverse: ndarray = np.linalg.pinv(R, rcond=DEPENDENT)
+    return pseudoinverse
+
+
+def _turns(
+    z: Complex[ndarray, "o h"], weights: Float[ndarray, "o h-1"], expected: Float[ndarray, " o"]
+) -> Float[ndarray, " o"]:
+    """Return the phase from one entry of an exponential to the next, near the expected one [rad], for each row.
 
     The weighted linear predictor of Kay (1989, doi:10.1109/29.45547), whose weights make its variance the smallest.
     """
-    n = np.arange(1, len(z))
-    weights = n * (len(z) - n)
-    return expected + float(np.angle(np.exp(-1j * expected) * np.sum(weights * z[1:] * z[:-1].conj())))
+    products = np.sum(weights * z[:, 1:] * z[:, :-1].conj(), axis=1)
+    turns: ndarray = expected + np.angle(np.exp(-1j * expected) * products)
+    return turns

@@ -37,8 +37,8 @@ class NewtonizedOmp(Formulation):
     leave without the others, which are subtracted with their present symbols. At the end, the symbols of all sources
     are fitted together by least squares, which gives the residual for the next pick. Later sources thereby correct the
     earlier ones, and the estimates leave the grid (doi:10.1109/TSP.2016.2580523; for several snapshots Zhu, Han, Blum
-    & Xu 2019, doi:10.1016/j.sigpro.2019.07.009). The frequencies of that method are angle and inverse range here, and
-    its false-alarm threshold is replaced with ``sources``. The number of snapshots may be smaller than that of sources.
+    & Xu 2019). The frequencies of that method are angle and inverse range here, and its false-alarm threshold is
+    replaced with ``sources``. The number of snapshots may be smaller than that of sources.
     For several frequency bins the correlations are added, each weighted as the misfits of ``neef`` with "dml".
 
     coherence: coherence |aᴴb|/(‖a‖‖b‖) of the responses of neighbours on the grid, in angle and in inverse range.
@@ -46,7 +46,8 @@ class NewtonizedOmp(Formulation):
     rounds: rounds of cyclic refinement after each source but the last.
     last_rounds: maximum number of rounds after the last source; they end when a round lowers the misfit of all sources
         together by no more than 1e-9 of it.
-    refine: whether to refine the result by a local search of the deterministic likelihood over all sources together.
+    refine: whether to refine the result by a local search of deterministic maximum likelihood (DML), ‖(I − P_A)Y‖²,
+        over all sources together.
     wavefront: wavefront model that the estimator assumes, "exact", "fresnel", "paper" or "planar"; None: that of the
         scenario.
     sources: number of sources to search for: "known" is the true number, "estimate" is an estimate from the data by

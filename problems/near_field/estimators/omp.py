@@ -49,8 +49,8 @@ class Omp(Formulation):
 
     coherence: coherence |aᴴb|/(‖a‖‖b‖) of the responses of neighbours on the grid, in angle and in inverse range. The
         closer to 1, the finer the grid.
-    refine: whether to refine the picked points together by a local search of the deterministic likelihood
-        ‖(I − P_A)Y‖², from which Cui & Dai descend by gradient steps (P-SIGW).
+    refine: whether to refine the picked points together by a local search of deterministic maximum likelihood (DML),
+        ‖(I − P_A)Y‖², on which Cui & Dai descend by gradient steps (P-SIGW).
     wavefront: wavefront model that the estimator assumes, "exact", "fresnel", "paper" or "planar"; None: that of the
         scenario.
     sources: number of sources to search for: "known" is the true number, "estimate" is an estimate from the data by

@@ -38,9 +38,9 @@ class SparseBayesian(Formulation):
     All points of the grid may send: the data are complex normal with the covariance Σ = σ²I + Σ_p γ_p·a_p·a_pᴴ, and the
     powers γ_p are those that make the data most probable. Starting from the beamformer's powers, each update is
     γ_p ← γ_p·(a_pᴴΣ⁻¹R̂Σ⁻¹a_p)/(a_pᴴΣ⁻¹a_p) (Gerstoft, Mecklenbräuker, Xenaki & Nannuru 2016,
-    doi:10.1109/LSP.2016.2598550; for several snapshots Wipf & Rao 2007, doi:10.1109/TSP.2007.894265). Only the sample
-    covariance R̂ and matrices of M×M appear. Most powers vanish on the way and are dropped. The noise σ² is what the K
-    highest peaks leave of the data, per dimension. The number of snapshots may be smaller than that of sources.
+    doi:10.1109/LSP.2016.2598550; for several snapshots Wipf & Rao 2007, IEEE Trans. Signal Process. 55(7)). Only the
+    sample covariance R̂ and matrices of M×M appear. Most powers vanish on the way and are dropped. The noise σ² is what
+    the K highest peaks leave of the data, per dimension. The number of snapshots may be smaller than that of sources.
 
     The K highest peaks of γ are the estimate. A peak is a point whose power is not lower than that of any neighbour,
     which is a point with at least the coherence c² for neighbours of coherence c. If there are fewer peaks, the highest
@@ -48,14 +48,15 @@ class SparseBayesian(Formulation):
 
     With ``refine``, the peaks leave the grid: with their powers and σ² alone, each source in turn is moved to the
     position, and given the power, that makes the data most probable given the others (Tipping & Faul 2003; Hansen,
-    Badiu, Fleury & Rao 2014, doi:10.1109/SAM.2014.6882421), until nothing is gained. This is a local maximum of the
+    Badiu, Fleury & Rao 2014), until nothing is gained. This is a local maximum of the
     stochastic likelihood of uncorrelated sources. Coherent sources violate that assumption, and bias the result.
 
     coherence: coherence |aᴴb|/(‖a‖‖b‖) of the responses of neighbours on the grid, in angle and in inverse range.
     updates: maximum number of updates.
     tolerance: change of the powers in an update, relative to their sum, at or below which the updates end.
     prune: power relative to the greatest, below which a point is dropped.
-    refine: whether to return the refined peaks instead of the grid points.
+    refine: whether to move the peaks off the grid, each in turn, by a local search of the evidence, the likelihood of
+        the model with these peaks alone.
     wavefront: wavefront model that the estimator assumes, "exact", "fresnel", "paper" or "planar"; None: that of the
         scenario.
     sources: number of sources to search for: "known" is the true number, "estimate" is an estimate from the data by

@@ -3,6 +3,9 @@
 (() => {
   const d = NF.data, state = { measure: 0, point: 0, axis: 0, ert: 0, target: 0, cost: 0, cpoint: 0, which: 0, ppoint: 0, epoint: 0 };
   const costs = Object.keys(d.distributions), costNames = { evaluations: "evaluations", seconds: "seconds" };
+  // without a solver a method makes no evaluations: if that is the best one, costs are compared in seconds at first
+  const idle = (m) => d.measures.some((one) => one.name === "Evaluations per run" && one.value[m].every((v) => v === 0 || v === null));
+  const timed = d.methods.length > 0 && idle(0);
   const several = d.points.length > 1, counts = d.axes.map((a) => new Set(a.texts).size);
   state.axis = Math.max(counts.indexOf(Math.max(...counts)), 0);
   const pointSelect = (name, draw) => (several ? [NF.select("Swept point", d.points, state[name], (v) => { state[name] = v; draw(); })] : []);
@@ -16,19 +19,20 @@
   const dots = (measure, point) => {
     const methods = NF.visible().filter((m) => Number.isFinite(NF.number(measure.value[m][point])))
       .sort((a, b) => (measure.log ? 1 : -1) * (measure.value[a][point] - measure.value[b][point]));
-    const never = NF.visible().filter((m) => measure.value[m][point] === "inf").map((m) => d.methods[m]);
+    const named = (fits) => NF.visible().filter((m) => fits(measure.value[m][point])).map((m) => d.methods[m]);
+    const never = named((v) => v === "inf"), none = named((v) => v === null);
     return {
       title: measure.name, rows: methods.map((m) => d.methods[m]),
       series: methods.map((m, i) => ({ method: m, name: d.methods[m], x: [NF.number(measure.value[m][point])], y: [i],
         low: pick(measure.low?.[m], [point]), high: pick(measure.high?.[m], [point]) })),
       x: { label: measure.name, log: measure.log, include: measure.bounded && d.bound ? [NF.number(d.bound[point])] : [] }, y: { label: "method" },
       note: [measure.bounded && d.bound && d.bound[point] !== null ? `The Cramér–Rao bound is ${NF.text(d.bound[point])} m here (root mean square over the scenes).` : "",
-        never.length ? `Never: ${never.join(", ")}.` : ""].filter(Boolean).join(" "),
+        never.length ? `Never: ${never.join(", ")}.` : "", none.length ? `Without a value: ${none.join(", ")}.` : ""].filter(Boolean).join(" "),
     };
   };
   const lines = (measure, axis, point) => {
     const places = along(axis, point), key = d.axes[axis], spots = places.map((p, i) => (key.values ? key.values[p] : i));
-    const positive = spots.every((v) => v > 0), log = Boolean(key.values) && positive && !/\[(dB|°)\]/.test(key.name) && Math.max(...spots) >= 20 * Math.min(...spots);
+    const log = Boolean(key.values) && key.log;
     const series = NF.visible().map((m) => ({ method: m, name: d.methods[m], x: spots, y: pick(measure.value[m], places),
       low: pick(measure.low?.[m], places), high: pick(measure.high?.[m], places) }));
     const bound = measure.bounded && d.bound ? pick(d.bound, places) : [], known = bound.filter(Number.isFinite).length;
@@ -49,7 +53,11 @@
     return several && state.axis < d.axes.length ? lines(measure, state.axis, state.point) : dots(measure, state.point);
   });
 
-  const erts = d.measures.filter((m) => m.name.endsWith("(ERT)"));
+  const erts = d.measures.filter((m) => m.ert);
+  if (timed) {
+    state.ert = Math.max(erts.findIndex((m) => m.name.startsWith("Seconds")), 0);
+    state.cost = Math.max(costs.indexOf("seconds"), 0);
+  }
   if (erts.length)
     NF.figure("figure-ert", (draw) => [
       NF.select("Cost and target", erts.map((m) => m.name), state.ert, (v) => { state.ert = v; draw(); }), ...pointSelect("epoint", draw),

@@ -50,19 +50,23 @@
     if (index >= 0) host.querySelectorAll("select")[index]?.focus();
   };
 
+  // A landscape: stars at the true positions, and a ring at the best point.
   const picture = (one) => {
-    const [x0, x1, y0, y1] = one.box.map(NF.number), w = 300, h = 220, l = 44, b = 34;
+    const [x0, x1, y0, y1] = one.box.map(NF.number), w = 330, h = 200, l = 46, b = 36;
     const px = (v) => l + ((v - x0) / (x1 - x0)) * w, py = (v) => 8 + (1 - (v - y0) / (y1 - y0)) * h;
     const text = (x, y, words, anchor = "middle") => NF.el("text", { x, y, "text-anchor": anchor, "font-size": 12, fill: "currentColor" }, words);
-    const svg = NF.el("svg", { viewBox: `0 0 ${l + w + 12} ${h + 8 + b}`, role: "img", "aria-label": `Landscape of ${one.formulation} in scene ${one.scene}` },
+    const ring = (width, colour) => NF.el("circle", { cx: px(one.lowest[0]), cy: py(one.lowest[1]), r: 8, fill: "none", stroke: colour, "stroke-width": width });
+    const star = ([x, y]) => [["#000", 4], ["#fff", 1.8]].map(([colour, width]) => NF.el("path", { d: NF.shape("star", px(x), py(y), 5), fill: "none", stroke: colour, "stroke-width": width }));
+    const svg = NF.el("svg", { viewBox: `0 0 ${l + w + 12} ${h + 8 + b}`, role: "img", "aria-label": `Landscape of ${one.name} in scene ${one.scene}` },
       NF.el("image", { x: l, y: 8, width: w, height: h, preserveAspectRatio: "none", href: `data:image/png;base64,${one.png}` }),
-      NF.el("rect", { x: l, y: 8, width: w, height: h, fill: "none", stroke: "currentColor" }),
-      NF.el("circle", { cx: px(one.best[0]), cy: py(one.best[1]), r: 7, fill: "none", stroke: "#000", "stroke-width": 4 }),
-      NF.el("circle", { cx: px(one.best[0]), cy: py(one.best[1]), r: 7, fill: "none", stroke: "#fff", "stroke-width": 2 }),
-      text(px(x0), h + 24, NF.text(x0), "start"), text(px(x1), h + 24, NF.text(x1), "end"), text(l + w / 2, h + 38, "unknown 1"),
-      text(l - 5, py(y0), NF.text(y0), "end"), text(l - 5, py(y1) + 10, NF.text(y1), "end"), NF.el("text", { transform: `translate(14 ${8 + h / 2}) rotate(-90)`, "text-anchor": "middle", "font-size": 12, fill: "currentColor" }, "unknown 2"));
-    const cut = one.unknowns > 2 ? ` It has ${one.unknowns} unknowns; the others are those of the best point.` : "";
-    return NF.el("figure", { class: "landscape" }, svg, NF.el("figcaption", {}, `${one.formulation}, scene ${one.scene}, ${d.points.length > 1 ? d.points[one.point] + ", " : ""}first problem: the objective over two unknowns. Darker is smaller, by rank; the circle is the best point of any run.${cut}`));
+      NF.el("rect", { x: l, y: 8, width: w, height: h, fill: "none", stroke: "currentColor" }), ring(4, "#000"), ring(2, "#fff"), one.marks.flatMap(star),
+      text(px(x0), h + 24, NF.text(x0), "start"), text(px(x1), h + 24, NF.text(x1), "end"), text(l + w / 2, h + 38, one.axes[0]),
+      text(l - 5, py(y0), NF.text(y0), "end"), text(l - 5, py(y1) + 10, NF.text(y1), "end"), NF.el("text", { transform: `translate(14 ${8 + h / 2}) rotate(-90)`, "text-anchor": "middle", "font-size": 12, fill: "currentColor" }, one.axes[1]));
+    const where = `scene ${one.scene}${d.points.length > 1 ? `, ${d.points[one.point]}` : ""}`, fixed = one.unknowns > 2;
+    const words = one.marks.length
+      ? `${one.name}, ${where}. Darker is better, by rank; stars are the true positions, the ring is the best point of the picture.${fixed ? ` The other ${one.unknowns - 2} unknowns are the true ones.` : ""}`
+      : `${one.name}, ${where}: the objective of the first problem over two unknowns. Darker is smaller, by rank; the ring is the best point of any run.${fixed ? ` The other ${one.unknowns - 2} unknowns are those of this point.` : ""}`;
+    return NF.el("figure", { class: "landscape" }, svg, NF.el("figcaption", {}, words));
   };
 
   // True and found positions in the plane in which they vary, with the array.
@@ -97,7 +101,7 @@
     detail.replaceChildren(NF.el("h3", {}, `Scene ${state.scene}${d.points.length > 1 ? ` at ${d.points[state.point]}` : ""}`), controls, NF.el("div", { class: "pair" },
       NF.el("div", {}, NF.el("h4", {}, "Truth and estimates"), plane), NF.el("div", {}, NF.el("h4", {}, "Traces"), curves)), keys,
     NF.el("div", { class: "scroll" }, errors),
-    lands.length ? NF.el("div", { class: "pair" }, lands.map(picture))
+    lands.length ? NF.el("div", { class: "pair three" }, lands.map(picture))
       : NF.el("p", { class: "note" }, d.landscapes.length ? `There is a picture of the landscape for the scenes ${[...new Set(elsewhere)].join(", ") || "of other points"} only.` : "There is no picture of the landscape."));
     if (place) positions(plane, place, NF.visible(), []);
     else plane.append(NF.el("p", { class: "empty" }, document.body.dataset.reason || "The positions of this scene are not in this page."));
@@ -118,6 +122,6 @@
     document.getElementById("scene-words").textContent = `Scene ${number}${d.points.length > 1 ? ` at ${d.points[0]}` : ""}: stars are its sources, rings those of the other scenes, boxes the elements of the array.`;
   } else if (draw) draw.append(NF.el("p", { class: "empty" }, document.body.dataset.reason || "This scenario has no positions to show."));
   const lands = document.getElementById("scene-landscapes"), begin = d.landscapes[0];
-  if (lands) lands.append(...d.landscapes.filter((one) => one.point === begin.point && one.scene === begin.scene).slice(0, 2).map(picture));
+  if (lands) lands.append(...d.landscapes.filter((one) => one.point === begin.point && one.scene === begin.scene).slice(0, 3).map(picture));
   NF.onchange(() => { map(); show(); });
 })();

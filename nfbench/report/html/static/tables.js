@@ -42,7 +42,7 @@
     NF.el("th", { scope: "row" }, row.best ? "● " : "", NF.data.methods[row.method]),
     cell(NF.percent(row.solved_share), NF.number(row.solved_share)), cell(NF.range(row.solved_low, row.solved_high, (v) => String(Math.round(100 * v))) + (row.solved_low === null ? "" : " %"), NF.number(row.solved_low)),
     cell(NF.text(row.error_ratio), NF.number(row.error_ratio)), cell(NF.range(row.ratio_low, row.ratio_high), NF.number(row.ratio_low)),
-    cell(NF.text(row.ert), NF.number(row.ert)), cell(NF.text(row.seconds), NF.number(row.seconds)),
+    cell(row.ert === 0 ? "–" : NF.text(row.ert), NF.number(row.ert)), cell(NF.text(row.seconds), NF.number(row.seconds)),
     cell(NF.text(row.median), NF.number(row.median)), cell(NF.text(row.rms), NF.number(row.rms)),
     cell(NF.text(row.time), NF.number(row.time)), cell(String(row.failed), row.failed));
 
