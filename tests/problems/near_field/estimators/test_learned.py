@@ -12,6 +12,7 @@ from nfbench.plugins.registry import Registry
 from nfbench.problems.near_field.estimators.grid_refine import GridRefine
 from nfbench.problems.near_field.estimators.learned import Learned
 from nfbench.problems.near_field.instance import NearFieldInstance
+from nfbench.problems.near_field.learned import cosines
 from nfbench.problems.near_field.scenario import NearField
 
 PAPER = {
@@ -72,10 +73,11 @@ def test_the_errors_are_those_that_the_documentation_states():
 
 
 def test_the_errors_with_elevation_are_those_that_the_documentation_states():
-    """About MEDIAN bounds at 20 dB in the median, and at most 10 in more than SHARE % of scenes."""
+    """About 4 bounds at 20 dB in the median, and at most 10 in more than 80 % of scenes; no source is missed."""
     errors = in_bounds([scene(seed, base=SPACE) for seed in range(50)])
-    assert 1.0 <= np.median(errors) <= 9.0
-    assert np.mean(errors <= 10) >= 0.5
+    assert 2.5 <= np.median(errors) <= 4.5
+    assert np.mean(errors <= 10) >= 0.8
+    assert errors.max() < 40
 
 
 @BOTH
@@ -94,6 +96,14 @@ def test_angles_are_within_a_thirtieth_of_a_beamwidth_of_the_sources():
         instance = scene(seed)
         found, true = np.sort(solve(instance)[:, 0]), np.sort(instance.theta[:, 0])
         assert_allclose(np.sin(found), np.sin(true), atol=1 / 30 / 32)
+
+
+def test_directions_are_within_a_thirtieth_of_a_beamwidth_of_the_sources():
+    for seed in range(20):
+        instance = scene(seed, base=SPACE)
+        found, true = cosines(solve(instance)), cosines(instance.theta)
+        distance = np.abs(found[:, None] - true).max(axis=-1)
+        assert distance.min(axis=0).max() < 1 / 30 / 8
 
 
 @BOTH
@@ -143,8 +153,8 @@ def test_a_part_of_the_box_with_elevation_is_enough():
 @pytest.mark.parametrize("sources", [1, 5])
 def test_other_numbers_of_sources_with_elevation_are_found(sources):
     found = [scene(seed, base=SPACE, sources=sources, min_separation_deg=8.0) for seed in range(10)]
-    assert np.median(in_bounds(found)) < 20
-    assert np.median(in_bounds(found, refine=True)) < 2.0
+    assert np.median(in_bounds(found)) < 8
+    assert np.median(in_bounds(found, refine=True)) < 1.5
 
 
 @pytest.mark.parametrize("sources", [1, 2, 5])
@@ -172,6 +182,17 @@ def test_a_known_wavefront_is_used_and_a_wrong_one_biases_the_range(wavefront):
     true = instance.theta[by_azimuth]
     assert_allclose(known[:, 1], true[:, 1], rtol=0.1)
     assert_allclose(assumed[:, 1], true[:, 1] / np.cos(true[:, 0]) ** 2, rtol=0.2)
+
+
+def test_with_elevation_another_wavefront_than_in_training_costs_accuracy_that_a_local_search_restores():
+    """The network was trained with spherical waves; Fresnel's are similar, the paper's differ in their curvature."""
+    errors = {}
+    for wavefront in ("exact", "fresnel", "paper"):
+        scenes = [scene(seed, base=SPACE, wavefront=wavefront) for seed in range(10)]
+        errors[wavefront] = np.median([each.score(solve(each))["rmse_m"] for each in scenes])
+        assert np.median(in_bounds(scenes, refine=True)) < 1.5
+    assert errors["exact"] < 0.03
+    assert errors["exact"] < errors["fresnel"] < 0.1 < errors["paper"]
 
 
 def test_two_sources_at_one_angle_are_one_proposal():
