@@ -271,5 +271,6 @@ def test_windows_and_mirrored_scenes_give_the_outputs_that_they_should(name):
         there = training.mirror(recipe, x, sources, axis)
         assert (there[1][:, :, axis] == -sources[:, :, axis]).all()
         assert torch.equal(there[0].flip(2 + axis)[:, : 2 * grid.count_v], x[:, : 2 * grid.count_v])
+        assert torch.equal(there[0][:, 2 * grid.count_v :], x[:, 2 * grid.count_v :])  # the direction stays
         for back, here in zip(training.mirror(recipe, *there, axis), (x, sources), strict=True):
             assert torch.equal(back, here)
