@@ -6,7 +6,7 @@ The functions take tables and arrays, not folders, so they can analyse rows from
 from __future__ import annotations
 
 from .choice import LIKELY, MEETS, MISSES
-from .choice_answer import Choice, answer, time_text
+from .choice_answer import Choice, answer
 from .choice_costs import Cell, Request, cells_of
 from .choice_overview import Overview, overview
 from .claim_parts import same_value
@@ -38,7 +38,7 @@ from .outcomes import Outcomes, Point, outcomes
 from .paired import PairedChange, paired_change, tuning_verdict
 from .parameters import Parameter, parameters
 from .ranking import ALL, Block, Ranking, rank
-from .sentences import sentence, sentences
+from .sentences import sentence, sentences, time_text
 from .sign_flips import holm, log_ratios, sign_flip_pvalue, signed_ranks
 from .summary import default_groups, summarize
 from .targets import (

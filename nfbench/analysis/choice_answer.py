@@ -12,9 +12,9 @@ import pandas as pd
 
 from .choice import EVERYWHERE, LIKELY, MEETS, MISSES, Verdict, judge, price_changes
 from .choice_costs import Points, Request
-from .sentences import names
+from .sentences import names, time_text
 
-__all__ = ["STEPS", "Choice", "answer", "recommended_row", "time_text"]
+__all__ = ["STEPS", "Choice", "answer", "recommended_row"]
 
 STEPS = ["change", "setting", "verdict", "share", "budget"]  # columns of Choice.steps
 
@@ -228,13 +228,3 @@ def _budget(row: Any, request: Request, unit: str) -> str:
     end = amount(high) if math.isfinite(high) else "more than this study can bound"
     start = f"{low:,.6g}" if unit != "s" and math.isfinite(high) else amount(low)
     return f"{text} ({100 * request.confidence:.4g} % interval {start} – {end})."
-
-
-def time_text(seconds: float) -> str:
-    """A time with three digits in a unit that suits it."""
-    if seconds == 0:
-        return "0 s"
-    for unit, size in (("s", 1.0), ("ms", 1e-3), ("µs", 1e-6)):
-        if seconds >= 0.9995 * size:
-            return f"{float(f'{seconds / size:.3g}'):,.6g} {unit}"
-    return f"{seconds / 1e-9:.3g} ns"

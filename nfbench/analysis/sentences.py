@@ -14,7 +14,7 @@ from .intervals import ratio_interval
 from .ranking import ALL, ERROR_TIE, SHARES, Block, Ranking, share_solved, typical_errors, typical_seconds
 from .sign_flips import hit_scores, log_ratios
 
-__all__ = ["cost_text", "names", "sentence", "sentences"]
+__all__ = ["cost_text", "names", "sentence", "sentences", "time_text"]
 
 MOST = 6  # labels that a list names before it counts the rest
 TRADES = 2  # trade-offs that a verdict names
@@ -120,8 +120,18 @@ def cost_text(block: Block, i: int) -> str:
     if not math.isfinite(cost):
         return ""
     if cost == 0:  # a method without a solver
-        return f"typically {typical_seconds(block.points, i):.3g} s from the start of a run to its hit"
+        return f"typically {time_text(typical_seconds(block.points, i))} from the start of a run to its hit"
     return f"{cost:,.0f} evaluations per hit" if cost >= 10 else f"{cost:.3g} evaluations per hit"
+
+
+def time_text(seconds: float) -> str:
+    """A time with three digits in a unit that suits it."""
+    if seconds == 0:
+        return "0 s"
+    for unit, size in (("s", 1.0), ("ms", 1e-3), ("µs", 1e-6)):
+        if seconds >= 0.9995 * size:
+            return f"{float(f'{seconds / size:.3g}'):,.6g} {unit}"
+    return f"{seconds / 1e-9:.3g} ns"
 
 
 def _reason(block: Block) -> str:
