@@ -26,7 +26,7 @@ ESTIMATORS = sorted((PROJECT / "studies" / "estimators").glob("*.toml"))
 FOLDERS = ("paper/*", "impairments/*", "estimators/*", "learned/*", "*")
 JUDGED = sorted(table for folder in FOLDERS for table in RESULTS.glob(f"{folder}/claims.csv"))
 RELAXATION = PROJECT / "studies" / "relaxation.toml"
-LEARNED = [PROJECT / "studies" / f"{name}.toml" for name in ("learned", "learned_channel")]
+LEARNED = [PROJECT / "studies" / f"{name}.toml" for name in ("learned", "learned_channel", "learned_space")]
 WITH_CLAIMS = [
     *MANIFESTS,
     *IMPAIRMENTS,

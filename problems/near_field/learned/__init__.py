@@ -1,13 +1,23 @@
-"""A small neural network that reads sources from the spectrum of the signal subspace.
+"""Small neural networks that read sources from the spectrum of the signal subspace, one for each of two arrays.
 
-``scenes`` draws what it is trained on, ``features`` is what it sees, ``train`` trains it with PyTorch, and ``network``
-evaluates it in NumPy.
+``scenes`` has what they are trained for, and draws it. ``features`` is what they see, ``train`` trains them with
+PyTorch, and ``network`` evaluates them in NumPy.
 """
 
 from __future__ import annotations
 
-from .features import PolarGrid, from_polar, to_polar
+from .features import PolarGrid, cosines, from_polar, to_polar
 from .network import COMMAND, Network, load_network
-from .scenes import training_scenario
+from .scenes import SETTINGS, Setting
 
-__all__ = ["COMMAND", "Network", "PolarGrid", "from_polar", "load_network", "to_polar", "training_scenario"]
+__all__ = [
+    "COMMAND",
+    "SETTINGS",
+    "Network",
+    "PolarGrid",
+    "Setting",
+    "cosines",
+    "from_polar",
+    "load_network",
+    "to_polar",
+]
