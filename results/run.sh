@@ -20,6 +20,9 @@ for study in runtime complexity; do make "paper/$study" "paper/$study" 1; done
 make optimizer_choice optimizer_choice "$jobs"
 make certified certified "$jobs"
 make relaxation relaxation "$jobs"
+make learned learned "$jobs"
+make learned/learned_channel learned_channel "$jobs"
+make learned/learned_space learned_space "$jobs"
 nfbench landscape studies/landscape.toml --out results/landscape/landscape.csv --jobs "$jobs"
 for manifest in studies/paper/*.toml; do
     study=$(basename "$manifest" .toml)
