@@ -22,6 +22,7 @@ PAGES = {
     "results/optimizer_choice/README.md": "results/optimizer_choice.md",
     "results/certified/README.md": "results/certified.md",
     "results/relaxation/README.md": "results/relaxation.md",
+    "results/estimators/README.md": "results/estimators.md",
     "results/learned/README.md": "results/learned.md",
     "results/landscape/README.md": "results/landscape.md",
     "results/measured/README.md": "results/measured.md",
