@@ -17,6 +17,7 @@ from itertools import product
 import numpy as np
 from jaxtyping import Complex, Float, Int
 from numpy import ndarray
+from scipy.interpolate import BarycentricInterpolator
 
 from ..wavefronts import Manifold
 
@@ -78,11 +79,8 @@ def _interpolation(n: int, grid: Float[ndarray, " r"]) -> tuple[Float[ndarray, "
     angles = np.pi * (np.arange(n) + 0.5) / n
     highest, lowest = 1 / grid.min(), 1 / grid.max()
     nodes = (highest + lowest) / 2 + (highest - lowest) / 2 * np.cos(angles)
-    distances = 1 / grid[:, None] - nodes
-    hits = distances == 0
-    weights = (-1.0) ** np.arange(n) * np.sin(angles) / np.where(hits, 1, distances)
-    weights[hits.any(axis=1)] = hits[hits.any(axis=1)]
-    return 1 / nodes, weights / weights.sum(axis=1, keepdims=True)
+    factors = (-1.0) ** np.arange(n) * np.sin(angles)
+    return 1 / nodes, BarycentricInterpolator(nodes, np.eye(n), wi=factors)(1 / grid)
 
 
 @dataclass(frozen=True)
