@@ -48,7 +48,8 @@ def compiled(fastmath: set[str] | bool = False, *, inline: bool = False) -> Call
     """Numba's njit with what all kernels share: no Python exceptions inside, and a cache on disk.
 
     fastmath: what LLVM may do to sums and products. inline: insert the code into each caller before it is typed, with
-    the ``fastmath`` of the caller.
+    the ``fastmath`` of the caller. The other kernels that a kernel calls are inserted by LLVM, which makes its machine
+    code complete: it does not depend on which kernels were compiled or loaded before, in this process or another.
 
     A kernel is compiled again when a Python file changes in its package, or in the package of a kernel that its module
     imports; of a module outside packages, such as a plugin file, the file alone counts. So import constants of a
@@ -58,7 +59,8 @@ def compiled(fastmath: set[str] | bool = False, *, inline: bool = False) -> Call
     def compiled_with(function: _F) -> _F:
         inlining: Literal["always", "never"] = "always" if inline else "never"
         try:
-            kernel: Any = numba.njit(error_model="numpy", fastmath=fastmath, inline=inlining)(function)
+            options: Any = {"fastmath": fastmath, "inline": inlining, "error_model": "numpy", "forceinline": True}
+            kernel: Any = numba.njit(**options)(function)
             kernel._cache = _Cache(function)  # as cache=True does, with our folder
         except (OSError, RuntimeError) as error:
             raise NfbenchError(f"kernels: Numba {numba.__version__} cannot be used here: {error}; {_REMEDY}") from error
@@ -180,10 +182,24 @@ class _CheckedFiles(_caching.IndexDataCacheFile):  # type: ignore[misc]
 class _Cache(_caching.FunctionCache):  # type: ignore[misc]
     _impl_class = _CacheImpl
 
+    """Numba's cache, with checked files.
+
+    Numba compiles products and quotients of complex numbers as functions, once per process, with the ``fastmath`` of
+    the first kernel that has one. Each kernel gets its own: they are forgotten before and after it is compiled.
+    """
+
     def __init__(self, function: Any) -> None:
         super().__init__(function)
         locator = self._impl.locator
         self._cache_file = _CheckedFiles(self._cache_path, self._impl.filename_base, locator.get_source_stamp())
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        target_context.cached_internal_func.clear()
+        return super().load_overload(sig, target_context)
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        super().save_overload(sig, data)
+        cpu_target.target_context.cached_internal_func.clear()
 
 
 def _key(function: FunctionType) -> str:

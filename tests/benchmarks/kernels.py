@@ -167,8 +167,8 @@ def single_points(all_cases: list[Case]) -> Table:
     for case in all_cases:
         X = rng.uniform(case.fast.lower, case.fast.upper, (BATCH, case.fast.dimension))
         x, meter = X[0], MeteredProblem(case.fast, Budget(evaluations=10**9))
-        kernel = case.fast._projected_energy_one if isinstance(case.fast, RLS) else case.fast._kernel_one
-        empty = partial(numba.njit(lambda *arguments: 0.0), *kernel.args)
+        kernel = case.fast._projected_energy if isinstance(case.fast, RLS) else case.fast._kernel
+        empty = partial(numba.njit(lambda *arguments: np.empty(1)), *kernel.args)
         calls = [
             lambda f=case.fast, x=x: f.value(x),
             lambda f=case.plain, x=x: f.value(x),
@@ -176,7 +176,7 @@ def single_points(all_cases: list[Case]) -> Table:
             lambda f=case.fast, X=X: f.evaluate(X),
             lambda f=case.fast, x=x: f.value_and_gradient(x),
             lambda f=case.plain, x=x: f.value_and_gradient(x),
-            lambda f=empty, x=x: f(x),
+            lambda f=empty, x=x: float(f(x[None])[0]),
             lambda rows=kernel.args[4 if isinstance(case.fast, RLS) else 5]: read(rows),  # noqa: B008
         ]
         for call in calls:

@@ -295,3 +295,60 @@ def test_many_kernels_are_all_compiled_once_and_no_process_remains(tmp_path, sta
         words = done.stdout.strip().rsplit(maxsplit=2)
         assert words[0] == "True [2.0, 3.0, 9.0, 11.0, 22.0]" and words[2] == "none", done.stdout
         assert hits is None or (words[1] == hits and done.stderr == "")
+
+
+PRODUCTS = """
+import sys
+from numba import types
+from nfbench import compiled
+@compiled({"contract"})
+def fused(z, w):
+    return z * w
+@compiled()
+def plain(z, w):
+    return z * w
+for name in sys.argv[1:]:
+    kernel = globals()[name]
+    kernel.compile((types.complex128, types.complex128))
+z, w = 0.1 + 0.7j, 0.3 - 0.9j
+print(*(kernel(z, w) for kernel in (fused, plain)))
+"""
+
+
+@pytest.mark.parametrize("order", [["fused", "plain"], ["plain", "fused"]])
+def test_a_complex_product_has_the_options_of_its_own_kernel(tmp_path, order):
+    """Numba compiles it once per process, with the options of the kernel that needs it first."""
+    (tmp_path / "products.py").write_text(PRODUCTS)
+    done = subprocess.run(
+        [sys.executable, "products.py", *order],
+        cwd=tmp_path,
+        env={**ENVIRONMENT, "NUMBA_CACHE_DIR": str(tmp_path)},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    fused, plain = map(complex, done.stdout.split())
+    z, w = 0.1 + 0.7j, 0.3 - 0.9j
+    assert plain == z * w  # Python's products are rounded one by one
+    assert fused != plain and abs(fused - plain) < 1e-15
+
+
+ASSEMBLY = """
+from nfbench.problems.near_field.objectives import kernels
+[(kernel, signature)] = [entry for entry in kernels._SIGNATURES if entry[0] is kernels.misfit]
+kernel.compile(signature)
+print(kernel.overloads[signature].library.get_asm_str())
+"""
+
+
+def test_the_machine_code_of_a_kernel_is_complete(tmp_path):
+    """Otherwise a function that it shares with other kernels is that of the kernel that was loaded first."""
+    done = subprocess.run(
+        [sys.executable, "-c", ASSEMBLY],
+        env={**ENVIRONMENT, "NUMBA_CACHE_DIR": str(tmp_path)},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    shared = {line.split()[1] for line in done.stdout.splitlines() if line.split()[:1] == [".weak"]}
+    assert shared <= {"NRT_incref", "NRT_decref"}  # of Numba's memory management

@@ -66,8 +66,7 @@ class ConditionalFit(Problem):
         kernels_conditional.warm_up()
         if not manifold.has_unit_modulus:
             general = GeneralFit(factor, manifold, least=LEAST, others=others)
-            self._kernel, self._kernel_one = general.evaluate, general.value
-            self._kernel_and_gradient = general.value_and_gradient
+            self._kernel, self._kernel_and_gradient = general.evaluate, general.value_and_gradient
             return
         Q = _basis(manifold.response(others).T)
         remaining = factor
@@ -76,7 +75,6 @@ class ConditionalFit(Problem):
         rows = kernels.pack_rows(np.hstack([Q, compress(remaining)]))
         fit = *manifold.packed, rows, Q.shape[1], float(np.vdot(remaining, remaining).real), LEAST * M
         self._kernel = partial(kernels_conditional.conditional_misfit, *fit)
-        self._kernel_one = partial(kernels_conditional.conditional_misfit_one, *fit)
         self._kernel_and_gradient = partial(kernels_conditional.conditional_misfit_and_gradient, *fit)
 
     def evaluate(self, X: Float[ndarray, "p n"]) -> Float[ndarray, " p"]:
@@ -84,8 +82,7 @@ class ConditionalFit(Problem):
         return J
 
     def value(self, x: Float[ndarray, " n"]) -> float:
-        J: float = self._kernel_one(x)
-        return J
+        return float(self._kernel(x[None])[0])
 
     def value_and_gradient(self, x: Float[ndarray, " n"]) -> tuple[float, Float[ndarray, " n"]]:
         """The value and the gradient; the gradient is 0 where a(θ) is in the span of the others."""

@@ -66,10 +66,6 @@ class GeneralFit:
         blocks = [self._explained(X[first : first + count]) for first in range(0, len(X), count)]
         return np.concatenate(blocks) if blocks else np.empty(0)
 
-    def explained_one(self, x: Float[ndarray, " n"]) -> float:
-        """‖QᴴF⊥‖² of one candidate."""
-        return float(self._explained(x[None])[0])
-
     def explained_and_gradient(self, x: Float[ndarray, " n"]) -> tuple[float, Float[ndarray, " n"]]:
         """‖QᴴF⊥‖² and its gradient 2·Re(∂a_kᴴ·E·c_kᴴ), E = P⊥F and C = [B, A]⁺F (Golub & Pereyra 1973)."""
         a, derivatives = self._manifold.response_and_derivatives(x.reshape(self._sources, -1))

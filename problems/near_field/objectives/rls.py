@@ -69,23 +69,20 @@ class RLS(Problem):
         self.factor = None if repels else L  # F of J = ‖(I − P_a)F‖², of which no repulsion is part
         cone = self._detected, float(self._alpha), float(delta_min)
         self._repulsion = partial(kernels.repulsion, *cone)
-        self._repulsion_one = partial(kernels.repulsion_one, *cone)
 
     def _choose_kernels(self, L: Complex[ndarray, "m c"]) -> None:
         """Set the functions that return M·‖aᴴL‖²/‖a‖², which is ‖aᴴL‖² where the entries of a have modulus 1."""
         M = self.manifold.elements
-        self._projected_energy: Callable[[ndarray], ndarray]  # of points
-        self._projected_energy_one: Callable[[ndarray], float]  # and of one
+        self._projected_energy: Callable[[ndarray], ndarray]
         self._projected_energy_and_gradient: Callable[[ndarray], tuple[float, ndarray]]
         if (flat := flattened(L, self.manifold)) is None:
             fit = GeneralFit(L * np.sqrt(M), self.manifold, least=LEAST)
-            self._projected_energy, self._projected_energy_one = fit.explained, fit.explained_one
+            self._projected_energy = fit.explained
             self._projected_energy_and_gradient = fit.explained_and_gradient
             return
         rows, manifold = flat
         factor = *manifold.packed, kernels.pack_rows(rows)
         self._projected_energy = partial(kernels.projected_energy, *factor)
-        self._projected_energy_one = partial(kernels.projected_energy_one, *factor)
         self._projected_energy_and_gradient = partial(kernels.projected_energy_and_gradient, *factor)
 
     def evaluate(self, X: Float[ndarray, "p n"]) -> Float[ndarray, " p"]:
@@ -93,8 +90,8 @@ class RLS(Problem):
         return residual + self._repulsion(X) if len(self._detected) else residual
 
     def value(self, x: Float[ndarray, " n"]) -> float:
-        residual: float = max(self._energy - self._projected_energy_one(x) / self.manifold.elements, 0.0)
-        return residual + self._repulsion_one(x) if len(self._detected) else residual
+        residual = max(self._energy - float(self._projected_energy(x[None])[0]) / self.manifold.elements, 0.0)
+        return residual + float(self._repulsion(x[None])[0]) if len(self._detected) else residual
 
     def value_and_gradient(self, x: Float[ndarray, " n"]) -> tuple[float, Float[ndarray, " n"]]:
         """The value and the gradient; of the repulsion a subgradient, zero where it has a kink."""
@@ -108,7 +105,7 @@ class RLS(Problem):
         distance = np.linalg.norm(away, axis=1)
         near = (distance > 0) & (distance < self._delta_min)
         gradient -= self._alpha * np.sum(away[near] / distance[near, None], axis=0)
-        return value + self._repulsion_one(x), gradient
+        return value + float(self._repulsion(x[None])[0]), gradient
 
 
 def flattened(F: Complex[ndarray, "m c"], manifold: Manifold) -> tuple[Complex[ndarray, "m c"], Manifold] | None:

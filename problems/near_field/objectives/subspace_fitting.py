@@ -71,12 +71,10 @@ class SubspaceFit(Problem):
         kernels.warm_up()
         if not manifold.has_unit_modulus:
             general = GeneralFit(F, manifold, K, least=RANK)
-            self._kernel, self._kernel_one = general.evaluate, general.value
-            self._kernel_and_gradient = general.value_and_gradient
+            self._kernel, self._kernel_and_gradient = general.evaluate, general.value_and_gradient
             return
         fit = *manifold.packed, _energy(F), *kernels.pack_factor(_triangular(F), K)
         self._kernel = partial(kernels.misfit, *fit)
-        self._kernel_one = partial(kernels.misfit_one, *fit)
         self._kernel_and_gradient = partial(kernels.misfit_and_gradient, *fit)
         self._fill_singular = partial(kernels.fill_singular, *fit)
 
@@ -87,7 +85,7 @@ class SubspaceFit(Problem):
         return J
 
     def value(self, x: Float[ndarray, " n"]) -> float:
-        J: float = self._kernel_one(x)
+        J = float(self._kernel(x[None])[0])
         return self._singular(x, self._no_gradients) if J < 0 else J
 
     def value_and_gradient(self, x: Float[ndarray, " n"]) -> tuple[float, Float[ndarray, " n"]]:

@@ -1,6 +1,7 @@
-"""The compiled kernels of the objectives: response vectors, RLS and subspace fitting, for one point or a batch.
+"""The compiled kernels of the objectives: response vectors, RLS and subspace fitting.
 
-A value does not depend on which other points are evaluated with it. Kernels are compiled once per machine and kept on
+A value does not depend on which other points are evaluated with it: one point is a batch of one, because the same sum
+may be rounded in another way in another kernel. Kernels are compiled once per machine and kept on
 disk; ``warm_up`` loads them before any clock runs.
 """
 
@@ -18,11 +19,9 @@ from .response_vectors import NEAR, advance_slopes, phasors, responses, towards
 from .rls import (
     projected_energy,
     projected_energy_and_gradient,
-    projected_energy_one,
     repulsion,
-    repulsion_one,
 )
-from .subspace_fitting import fill_singular, misfit, misfit_and_gradient, misfit_one
+from .subspace_fitting import fill_singular, misfit, misfit_and_gradient
 
 __all__ = [
     "LANES",
@@ -32,16 +31,13 @@ __all__ = [
     "fill_singular",
     "misfit",
     "misfit_and_gradient",
-    "misfit_one",
     "pack_factor",
     "pack_geometry",
     "pack_rows",
     "phasors",
     "projected_energy",
     "projected_energy_and_gradient",
-    "projected_energy_one",
     "repulsion",
-    "repulsion_one",
     "responses",
     "towards",
     "warm_up",
@@ -59,12 +55,9 @@ _SIGNATURES: list[tuple[Any, tuple[Any, ...]]] = [
     (responses, (*_ARRAY, _POINTS)),
     (advance_slopes, (types.int64, _MATRIX, _POINT, _VECTOR)),
     (projected_energy, (*_ARRAY, _ROWS, _POINTS)),
-    (projected_energy_one, (*_ARRAY, _ROWS, _POINT)),
     (projected_energy_and_gradient, (*_ARRAY, _ROWS, _POINT)),
     (repulsion, (*_REPULSION, _POINTS)),
-    (repulsion_one, (*_REPULSION, _POINT)),
     (misfit, (*_ARRAY, *_FACTOR, _POINTS)),
-    (misfit_one, (*_ARRAY, *_FACTOR, _POINT)),
     (misfit_and_gradient, (*_ARRAY, *_FACTOR, _POINT)),
     (fill_singular, (*_ARRAY, *_FACTOR, _POINTS, _VECTOR, _MATRIX)),
 ]

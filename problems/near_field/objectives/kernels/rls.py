@@ -20,9 +20,7 @@ from .response_vectors import phase_gradient, respond, source_at
 __all__ = [
     "projected_energy",
     "projected_energy_and_gradient",
-    "projected_energy_one",
     "repulsion",
-    "repulsion_one",
 ]
 
 _BLOCK = 16  # candidates whose responses stay in the first-level cache while the factor streams past them
@@ -67,22 +65,6 @@ def projected_energy(
     for first in range(0, len(X), _BLOCK):
         _add_energies(array, L, X, first, a, energies)
     return energies
-
-
-@compiled()
-def projected_energy_one(
-    wavelength: float,
-    wavefront: int,
-    geometry: Float[ndarray, "4 padded"],
-    M: int,
-    L: Float[ndarray, "2 rows padded"],
-    x: Float[ndarray, " d"],
-) -> float:
-    """‖aᴴL‖² of one candidate (d,) [rad, m]."""
-    a = np.empty((2, 1, geometry.shape[1]))
-    energies = np.empty(1)
-    _add_energies(ArrayModel(wavelength, wavefront, geometry, M), L, np.expand_dims(x, 0), 0, a, energies)
-    return energies[0]
 
 
 @compiled(SUMS)
@@ -136,9 +118,3 @@ def repulsion(
                 square += (X[p, c] - detected[i, c]) ** 2
             total[p] += alpha * max(0.0, delta_min - math.sqrt(square))
     return total
-
-
-@compiled()
-def repulsion_one(detected: Float[ndarray, "k d"], alpha: float, delta_min: float, x: Float[ndarray, " d"]) -> float:
-    """The repulsion of one candidate (d,)."""
-    return repulsion(detected, alpha, delta_min, np.expand_dims(x, 0))[0]

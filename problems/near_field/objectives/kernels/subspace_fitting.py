@@ -33,7 +33,6 @@ __all__ = [
     "fill_singular",
     "misfit",
     "misfit_and_gradient",
-    "misfit_one",
 ]
 
 SINGULAR = 1e-5
@@ -124,24 +123,6 @@ def misfit(
     for i in range(len(X)):
         J[i] = _misfit(array, energy, rows, h, L, W, X, i)
     return J
-
-
-@compiled()
-def misfit_one(
-    wavelength: float,
-    wavefront: int,
-    geometry: Float[ndarray, "4 padded"],
-    M: int,
-    energy: float,
-    rows: Float[ndarray, "2 rows padded"],
-    h: Complex[ndarray, " rows"],
-    L: Complex[ndarray, "k k"],
-    W: Complex[ndarray, "k c"],
-    x: Float[ndarray, " n"],
-) -> float:
-    """J of one candidate (n,) [rad, m]; −1 if it is left to ``fill_singular``."""
-    array = ArrayModel(wavelength, wavefront, geometry, M)
-    return _misfit(array, energy, rows, h, L, W, np.expand_dims(x, 0), 0)
 
 
 @compiled(SUMS)

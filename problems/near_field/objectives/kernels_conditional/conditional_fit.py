@@ -23,7 +23,7 @@ from ..kernels.inner_products import SUMS, Index, inner_products_of_four, uint
 from ..kernels.packing import LANES, ROWS, ArrayModel
 from ..kernels.response_vectors import phase_gradient, respond, source_at
 
-__all__ = ["conditional_misfit", "conditional_misfit_and_gradient", "conditional_misfit_one"]
+__all__ = ["conditional_misfit", "conditional_misfit_and_gradient"]
 
 _BLOCK = 16  # candidates whose responses stay in the first-level cache while the rows stream past them
 
@@ -94,25 +94,6 @@ def conditional_misfit(
     for first in range(0, len(X), _BLOCK):
         _misfits(array, rows, basis, energy, least, X, first, a, sums, J)
     return J
-
-
-@compiled()
-def conditional_misfit_one(
-    wavelength: float,
-    wavefront: int,
-    geometry: Float[ndarray, "4 padded"],
-    M: int,
-    rows: Float[ndarray, "2 rows padded"],
-    basis: int,
-    energy: float,
-    least: float,
-    x: Float[ndarray, " d"],
-) -> float:
-    """J of one candidate (d,) [rad, m]."""
-    array = ArrayModel(wavelength, wavefront, geometry, M)
-    a, sums, J = np.empty((2, 1, geometry.shape[1])), np.empty((2, 1)), np.empty(1)
-    _misfits(array, rows, basis, energy, least, np.expand_dims(x, 0), 0, a, sums, J)
-    return J[0]
 
 
 @compiled(SUMS)
