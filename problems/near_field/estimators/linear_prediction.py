@@ -218,8 +218,7 @@ def _isolate(
 ) -> Float[ndarray, " d"]:
     """Return source k, estimated again after the others are removed by an oblique projection.
 
-    Of the covariance (I − E)R(I − E)ᴴ = R − A_o·B − C·A_oᴴ, B = G·R, C = (R − A_o·B)·Gᴴ, only the entries on the
-    anti-diagonals are computed.
+    The covariance is (I − E)R(I − E)ᴴ = R − A_o·B − C·A_oᴴ with B = G·R and C = (R − A_o·B)·Gᴴ.
     """
     A = line.manifold.response(theta).T
     a, others = A[:, k], np.delete(A, k, axis=1)
@@ -228,7 +227,7 @@ def _isolate(
     B = G @ R
     C = B.conj().T - others @ (B @ G.conj().T)  # R is Hermitian
     p, m, n, weights = diagonals
-    z = R[m, n] - np.sum(others[m] * B.T[n] + C[m] * others.conj()[n], axis=2)
+    z = (R - np.hstack([others, C]) @ np.vstack([B, others.conj().T]))[m, n]
     sine, curvature = line.sine_and_curvature(theta[k])
     centres = p * line.spacing / 2
     turns = _turns(z, weights, line.turn * (sine - curvature * centres))

@@ -29,11 +29,7 @@ TOLERANCE = 1e-12
 Entries have modulus 1, so ‖U_sᴴa‖² is off by less than √K·M times this, where it is up to M."""
 
 NODES = (1, *range(4, 16, 2), *range(16, 32, 4), *range(32, 64, 8), *range(64, 128, 16), *range(128, 513, 32))
-DIRECTIONS, RANGES, ELEMENTS = (
-    3,
-    128,
-    256,
-)  # directions per angle, ranges and elements that the interpolation is tested for
+DIRECTIONS, RANGES, ELEMENTS = 3, 128, 256  # directions per angle, ranges, elements for which it is tested
 WORTHWHILE = 10**7  # entries of responses below which a grid is evaluated as it is: about 25 ms
 
 
