@@ -218,7 +218,8 @@ def _isolate(
 ) -> Float[ndarray, " d"]:
     """Return source k, estimated again after the others are removed by an oblique projection.
 
-    The covariance is (I − E)R(I − E)ᴴ = R − A_o·B − C·A_oᴴ with B = G·R and C = (R − A_o·B)·Gᴴ.
+    Of the covariance (I − E)R(I − E)ᴴ = R − A_o·B − C·A_oᴴ, B = G·R, C = (R − A_o·B)·Gᴴ, only the entries on the
+    anti-diagonals are computed.
     """
     A = line.manifold.response(theta).T
     a, others = A[:, k], np.delete(A, k, axis=1)
@@ -227,7 +228,8 @@ def _isolate(
     B = G @ R
     C = B.conj().T - others @ (B @ G.conj().T)  # R is Hermitian
     p, m, n, weights = diagonals
-    z = (R - np.hstack([others, C]) @ np.vstack([B, others.conj().T]))[m, n]
+    left, right = np.hstack([others, C]), np.hstack([B.T, others.conj()])  # of the projection that is subtracted from R
+    z = R[m, n] - np.einsum("ohk,ohk->oh", left.take(m, axis=0), right.take(n, axis=0))
     sine, curvature = line.sine_and_curvature(theta[k])
     centres = p * line.spacing / 2
     turns = _turns(z, weights, line.turn * (sine - curvature * centres))
