@@ -10,7 +10,7 @@ from .choice_answer import Choice, answer
 from .choice_costs import Cell, Request, cells_of
 from .choice_overview import Overview, overview
 from .claim_parts import same_value
-from .claims import judge_claims
+from .claims import judge_claims, quantity
 from .distributions import (
     Axis,
     aocc_table,
@@ -95,6 +95,7 @@ __all__ = [
     "parse_targets",
     "performance_profile",
     "quantile_interval",
+    "quantity",
     "rank",
     "ratio_interval",
     "reached_for_good",

@@ -179,7 +179,7 @@ def _words(verdict: Verdict, target: str, unit: str) -> Iterator[str]:
     else:
         yield (
             f"Try {first['setting']}. In this study it reaches {wanted}: {share} of {verdict.scenes} scenes{at} "
-            f"({interval}). That is too few scenes to be sure{_more(first['more_scenes'], verdict.tested)}."
+            f"({interval}). {_too_few(first['more_scenes'], verdict.tested)}."
         )
     yield _budget(first, request, unit)
     rest = frame.loc[frame["cheapest"], "setting"].tolist()[1:]
@@ -208,12 +208,14 @@ def _limits(request: Request) -> str:
     return text + (f", {request.parallel} of them at once" if request.parallel > 1 else "")
 
 
-def _more(scenes: float, tested: int) -> str:
-    """How many scenes would make it sure."""
+def _too_few(scenes: float, tested: int) -> str:
+    """Why it is not sure, and how many more scenes would make it so."""
+    reason = "That is too few scenes to be sure"
+    if tested > 1:
+        reason = f"As {tested} methods are tested at once, that is too few scenes to be sure"
     if math.isnan(scenes):
-        return "; its share is too close to the wanted one for any number of scenes to make it sure soon"
-    among = f" among {tested} methods" if tested > 1 else ""
-    return f": about {scenes:,.0f} more would be needed{among} if the share stays the same"
+        return f"{reason}; its share is too close to the wanted one for any number of scenes to make it sure soon"
+    return f"{reason}: about {scenes:,.0f} more would be needed if the share stays the same"
 
 
 def _budget(row: Any, request: Request, unit: str) -> str:
@@ -221,7 +223,8 @@ def _budget(row: Any, request: Request, unit: str) -> str:
         return time_text(value) if unit == "s" else f"{value:,.6g} evaluations"
 
     share = f"{100 * request.reliability:.4g} %"
-    text = f"{share} of the scenes reach the target within {amount(row['budget'])}"
+    budget = time_text(row["budget"], up=True) if unit == "s" else amount(row["budget"])
+    text = f"{share} of the scenes reach the target within {budget}"
     low, high = row["budget_low"], row["budget_high"]
     if math.isnan(low):
         return f"{text}."

@@ -64,11 +64,11 @@ import pandas as pd
 
 from nfbench.study import Claim, Compare
 
-from .claim_parts import Part, methods_of, parts_of
+from .claim_parts import FLOOR, Part, methods_of, parts_of
 from .outcomes import Point
 from .sign_flips import holm
 
-__all__ = ["EACH_WAY", "judge_claims"]
+__all__ = ["EACH_WAY", "judge_claims", "quantity"]
 
 EACH_WAY = 0.025  # one-sided, after Holm's correction over all claims
 COLUMNS = ["text", "verdict", "p", "p_holm", "estimate", "low", "high", "scenes", "p_against", "p_against_holm"]
@@ -105,6 +105,35 @@ def judge_claims(claims: Sequence[Claim], points: Sequence[Point], *, unfinished
     for i, (claim, part, fact) in enumerate(zip(claims, found, facts, strict=True)):
         rows.append(fact | {"text": claim.text} if fact else _row(claim.text, part, adjusted[0][i], adjusted[1][i]))
     return pd.DataFrame(rows, columns=COLUMNS)
+
+
+def quantity(compare: Compare) -> str:
+    """What the estimate of a claim is of, and its limits, in words: "error: better ÷ worse, below 1"."""
+    kind, least, most = compare.kind, compare.at_least, compare.at_most
+    if kind == "floor" and least is None:
+        least = FLOOR
+    words = ("at least", "at most")
+    if kind in ("better", "equal", "grows", "falls", "degrades"):
+        words = ("above", "below")
+        factor = compare.factor or 1.0
+        least = {"grows": 1.0, "degrades": 1.0, "equal": 1 / factor}.get(kind)
+        most = {"falls": 1.0, "better": factor, "equal": factor}.get(kind)
+    if compare.measure == "hits" and kind == "better":
+        return "share of runs of the better method that hit the first target"
+    share = f"share of runs with the status {compare.status}" if compare.status else "share of failed runs"
+    what = {
+        "better": "better ÷ worse",
+        "equal": "first ÷ second",
+        "degrades": "its growth ÷ that of the other",
+        "exponent": f"exponent of its growth with {compare.key}",
+        "fails": "share of runs that miss the first target" if compare.measure == "hits" else share,
+        "runs": share,
+    }.get(kind, "next ÷ previous value" if compare.every_step else f"at the last ÷ first {compare.key}")
+    if compare.start is not None and kind in ("changes", "floor"):
+        what = f"at {compare.stop} ÷ at {compare.start}"
+    name = "" if kind in ("fails", "runs") else f"{compare.measure}: "
+    limits = [f"{word} {value:.4g}" for word, value in zip(words, (least, most), strict=True) if value is not None]
+    return f"{name}{what}, {' and '.join(limits)}"
 
 
 def _combined(parts: Sequence[Part]) -> Part:

@@ -124,8 +124,11 @@ def cost_text(block: Block, i: int) -> str:
     return f"{cost:,.0f} evaluations per hit" if cost >= 10 else f"{cost:.3g} evaluations per hit"
 
 
-def time_text(seconds: float) -> str:
-    """A time with three digits in a unit that suits it."""
+def time_text(seconds: float, *, up: bool = False) -> str:
+    """A time with three digits in a unit that suits it. up: whether it is rounded up, as a limit that suffices."""
+    if up and seconds > 0:
+        step = 10.0 ** (math.floor(math.log10(seconds)) - 2)
+        seconds = math.ceil(seconds / step * (1 - 1e-12)) * step
     if seconds == 0:
         return "0 s"
     for unit, size in (("s", 1.0), ("ms", 1e-3), ("µs", 1e-6)):

@@ -54,7 +54,7 @@ def _methods(choice: Choice, most: int, width: int) -> Table:
         "share of\nscenes": lambda row: f"{row['share']:.0%}",
         f"{percent}\ninterval": lambda row: f"{100 * row['share_low']:.0f} – {100 * row['share_high']:.0f} %",
         f"worst at\n{printable(keys)}": lambda row: shown(_values(row["worst"])),
-        f"needed for\n{wanted}": lambda row: _amount(row["budget"], choice.unit),
+        f"needed for\n{wanted}": lambda row: _amount(row["budget"], choice.unit, up=True),
         f"{percent}\nof it": lambda row: _ends(row, choice.unit),
     }
     if not places:
@@ -78,7 +78,7 @@ def _methods(choice: Choice, most: int, width: int) -> Table:
 
 def _verdict(row: dict[Any, Any]) -> Text:
     verdict = str(row["verdict"])
-    return Text({MEETS: "yes", LIKELY: "so far"}.get(verdict, "no"), STYLES.get(verdict, ""))
+    return Text({MEETS: "yes", LIKELY: "likely"}.get(verdict, "no"), STYLES.get(verdict, ""))
 
 
 def _values(place: str) -> str:
@@ -93,10 +93,10 @@ def _ends(row: dict[Any, Any], unit: str) -> str:
     return f"{_amount(low, unit)} – {_amount(high, unit) if math.isfinite(high) else '?'}"
 
 
-def _amount(value: float, unit: str) -> str:
+def _amount(value: float, unit: str, *, up: bool = False) -> str:
     if not math.isfinite(value):
         return "–"
-    return time_text(value) if unit == "s" else f"{value:,.0f}"
+    return time_text(value, up=up) if unit == "s" else f"{value:,.0f}"
 
 
 def _steps(choice: Choice) -> Table:
@@ -112,7 +112,7 @@ def _steps(choice: Choice) -> Table:
             shown(row["setting"]),
             _verdict(row),
             "–" if math.isnan(row["share"]) else f"{row['share']:.0%}",
-            _amount(row["budget"], choice.unit),
+            _amount(row["budget"], choice.unit, up=True),
         )
     return table
 

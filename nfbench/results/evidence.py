@@ -127,9 +127,14 @@ class Evidence:
         stopped = "target_reached" in self.runs.columns and bool((self.runs["target_reached"] == 1).any())
         return rank(self.points, stopped_at_target=stopped)
 
+    @cached_property
+    def stated(self) -> list[Claim]:
+        """The claims that the study was run with."""
+        return _claims(self.results)
+
     def claims(self) -> pd.DataFrame:
         """One row per claim of the manifest, with its verdict."""
-        claims = _claims(self.results)
+        claims = self.stated
         columns = dict.fromkeys(claim.compare.measure for claim in claims)
         known = [name for name in columns if name in self.runs.columns and self.runs[name].dtype.kind in "biuf"]
         return judge_claims(claims, self._points(known), unfinished=True)  # the manifest's names were checked

@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from nfbench.analysis import LIKELY, MEETS, MISSES, Request, answer, cells_of
+from nfbench.analysis import LIKELY, MEETS, MISSES, Request, answer, cells_of, time_text
 from nfbench.analysis.choice import budget_of, judge, price_changes, share_pvalue
 from nfbench.core import OptionError
 
@@ -107,7 +107,7 @@ def test_nothing_and_too_few_scenes_are_said():
     few = answer({TARGET: cells_of(table)}, TARGET, Request(reliability=0.95))
     assert few.recommended == "a" and few.met and not few.sure
     # .95^n ≤ .04 / 2 at n = 77
-    assert "about 27 more would be needed among 2 methods" in few.sentences[0]
+    assert "As 2 methods are tested at once, that is too few scenes to be sure: about 27 more" in few.sentences[0]
     none = answer({TARGET: cells_of(table)}, TARGET, Request(evaluations=50, reliability=0.95))
     assert none.recommended is None and none.sentences[0].startswith("Nothing in this study reaches")
     assert none.steps["change"].tolist() == ["half the evaluations", "twice the evaluations"]
@@ -197,3 +197,12 @@ def test_a_much_cheaper_method_is_alone_in_the_cheapest_set():
     found = verdict(rows({"dear": 3 * base, "cheap": base}), reliability=0.5)
     assert found.frame["method"].tolist() == ["cheap", "dear"]
     assert found.frame["cheapest"].tolist() == [True, False] and found.ranked
+
+
+@pytest.mark.parametrize(
+    ("seconds", "nearest", "enough"),
+    [(0.01002, "10 ms", "10.1 ms"), (0.01, "10 ms", "10 ms"), (0.0119, "11.9 ms", "11.9 ms"), (0.99951, "1 s", "1 s"),
+     (123.4, "123 s", "124 s"), (1.2345e-6, "1.23 µs", "1.24 µs"), (0.0, "0 s", "0 s")],
+)  # fmt: skip
+def test_a_time_that_suffices_is_rounded_up(seconds, nearest, enough):
+    assert (time_text(seconds), time_text(seconds, up=True)) == (nearest, enough)

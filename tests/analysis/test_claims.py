@@ -10,7 +10,7 @@ import pytest
 from nfbench import OptionError
 from nfbench.analysis import claims as module
 from nfbench.analysis.claim_parts import parts_of
-from nfbench.analysis.claims import Claim, Compare, judge_claims
+from nfbench.analysis.claims import Claim, Compare, judge_claims, quantity
 from nfbench.analysis.outcomes import Outcomes
 from nfbench.core import build
 
@@ -329,3 +329,25 @@ def test_the_claims_of_the_paper_can_be_stated(table):
     row = judged(points, table)[0]
     assert row["verdict"] in ("confirmed", "contradicted", "not decided by 20 scenes")
     assert row["scenes"] == 20
+
+
+@pytest.mark.parametrize(
+    ("table", "words"),
+    [
+        ({"better": "a", "worse": "b"}, "error: better ÷ worse, below 1"),
+        ({"better": "a", "worse": "b", "factor": 0.5, "measure": "seconds"}, "seconds: better ÷ worse, below 0.5"),
+        (
+            {"better": "a", "worse": "b", "measure": "hits"},
+            "share of runs of the better method that hit the first target",
+        ),
+        ({"equal": ["a", "b"], "factor": 1.25}, "error: first ÷ second, above 0.8 and below 1.25"),
+        ({"grows": "a", "key": SNR}, f"error: at the last ÷ first {SNR}, above 1"),
+        ({"falls": "a", "key": SNR, "every_step": True}, "error: next ÷ previous value, below 1"),
+        ({"floor": "a", "key": SNR, "start": 20, "stop": 30}, "error: at 30 ÷ at 20, at least 0.8"),
+        ({"exponent": "a", "key": SNR, "at_most": 2}, f"error: exponent of its growth with {SNR}, at most 2"),
+        ({"fails": "a", "measure": "hits", "at_most": 0.1}, "share of runs that miss the first target, at most 0.1"),
+        ({"runs": "a", "status": "skipped", "at_least": 1}, "share of runs with the status skipped, at least 1"),
+    ],
+)
+def test_what_an_estimate_is_of_is_said_in_words(table, words):
+    assert quantity(build(Compare, table)) == words

@@ -85,7 +85,7 @@ def main() -> int:
             bad = bool(binom.cdf(round(again * arguments.new), arguments.new, reliability) < 0.01)
             sure += found.sure
             wrong += bad and found.sure
-            answer = "sure" if found.sure else "so far"
+            answer = "sure" if found.sure else "likely"
             table.add_row(*row, answer, f"{share:.1%}", f"{again:.1%}", "too low" if bad else "")
     Console(width=120).print(table)
     print(f"{sure} recommendations are called sure, of which {wrong} reach too few new scenes")

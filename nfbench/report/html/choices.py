@@ -20,7 +20,7 @@ __all__ = ["choices"]
 RELIABILITY = 0.95
 TARGETS = 4  # answers in a page
 METHODS = 8  # rows of a table of methods
-WORDS = {MEETS: "yes", LIKELY: "so far"}
+WORDS = {MEETS: "yes", LIKELY: "likely"}
 
 
 def choices(study: Study) -> list[dict[str, Any]]:
@@ -81,14 +81,14 @@ def _step(row: dict[Any, Any], unit: str) -> dict[str, str]:
         "method": printable(row["setting"]),
         "verdict": WORDS.get(row["verdict"], "no"),
         "share": "–" if math.isnan(row["share"]) else f"{100 * row['share']:.0f} %",
-        "needed": _amount(row["budget"], unit),
+        "needed": _amount(row["budget"], unit, up=True),
     }
 
 
-def _amount(value: float, unit: str) -> str:
+def _amount(value: float, unit: str, *, up: bool = False) -> str:
     if not math.isfinite(value):
         return "–"
-    return time_text(value) if unit == "s" else f"{value:,.0f}"
+    return time_text(value, up=up) if unit == "s" else f"{value:,.0f}"
 
 
 def _prices(prices: pd.DataFrame) -> list[tuple[str, str]]:

@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 from markupsafe import Markup
 
-from nfbench.analysis import headline, sentences
+from nfbench.analysis import headline, quantity, sentences
 from nfbench.core import NfbenchError, Status, printable
 from nfbench.results import Results, write_whole
 
@@ -85,7 +85,7 @@ def _context(study: Study, redrawn: Redrawn) -> dict[str, Any]:
         "points": study.points,
         "choices": choices(study),
         "heads": comparison.headings(study),
-        "claims": study.evidence.claims().to_dict("records"),
+        "claims": _claims(study),
         "failures": _failures(runs),
         "proofs": _proofs(study),
         "contradicted": _contradicted(study),
@@ -181,8 +181,9 @@ def _fails(study: Study, method: str) -> str:
     goal = study.goal(target) or "an estimate"
     single = len(study.points) == 1
     if not missed:
-        where = "" if single else f", {total // len(study.points)} at each of {len(study.points)} swept points"
-        return f"{method} misses {goal} in none of {total} scenes{where}."
+        scenes_ = f"{total // len(study.points)} scenes"
+        where = f"{scenes_}" if single else f"{scenes_} at each of {len(study.points)} swept points"
+        return f"{method} misses {goal} in none of the {where}."
     listed = ", ".join(f"{scene}" if single else f"{scene} ({label})" for label, scene in missed[:NAMED])
     more = f" and {len(missed) - NAMED} more" if len(missed) > NAMED else ""
     return f"{method} misses {goal} in {len(missed)} of {total} scenes: {listed}{more}."
@@ -196,6 +197,12 @@ def _verdicts(study: Study) -> list[tuple[str, str]]:
         place = study.place(block.swept) if len(block.points) == 1 else -1
         found.append((place, "All points together" if place < 0 else study.points[place], printable(text)))
     return [(label, text) for _, label, text in sorted(found, key=lambda each: each[0])]
+
+
+def _claims(study: Study) -> list[dict[Any, Any]]:
+    """The rows of ``claims.csv``, and what each estimate is of."""
+    rows = study.evidence.claims().to_dict("records")
+    return [row | {"quantity": quantity(each.compare)} for row, each in zip(rows, study.evidence.stated, strict=True)]
 
 
 def _failures(runs: pd.DataFrame) -> list[dict[str, Any]]:
@@ -229,7 +236,8 @@ def _array_facts(redrawn: Redrawn) -> list[tuple[str, str]]:
     survey = redrawn.array
     if survey is None:
         return []
-    return [("array", printable(survey.title)), *((printable(name), printable(text)) for name, text in survey.facts)]
+    facts = [("array", survey.title.removeprefix("array ")), *survey.facts]
+    return [(printable(name), printable(text)) for name, text in facts]
 
 
 def _number(value: Any) -> str:

@@ -21,10 +21,11 @@ def origin(folder: Path, name: str) -> dict[str, Any]:
     environment = _environment(folder)
     git = environment.get("git") if isinstance(environment.get("git"), dict) else {}
     commit = str((git or {}).get("commit") or "")
+    changed = " with local changes, which are not in the commit" if (git or {}).get("dirty") else ""
     rows = [(key, environment[key]) for key in ("python", "platform", "cpu", "cores", "jobs", "started", "ended")
             if environment.get(key) is not None]  # fmt: skip
     if commit:
-        rows.append(("commit", commit + (" with local changes" if (git or {}).get("dirty") else "")))
+        rows.append(("commit", commit + changed))
     earlier = environment.get("earlier")
     if isinstance(earlier, list) and earlier:
         rows.append(("earlier sessions", len(earlier)))
@@ -34,7 +35,7 @@ def origin(folder: Path, name: str) -> dict[str, Any]:
         "rows": [(key, printable(value)) for key, value in rows],
         "versions": [(printable(k), printable(v)) for k, v in versions.items()] if isinstance(versions, dict) else [],
         "command": f"nfbench run manifest.toml --out {shlex.quote('results/' + printable(name))}",
-        "commit": printable(commit),
+        "commit": printable(commit[:10] + changed if commit else ""),
     }
 
 

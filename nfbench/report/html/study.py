@@ -19,7 +19,7 @@ from nfbench.study import read_labels
 
 __all__ = ["Study", "number", "numbers", "words"]
 
-SHOWN = 6  # methods that the figures show at first
+SHOWN = 8  # methods that the figures show at first
 BEST = 2  # of these, the best ones whatever their formulation; the best of each formulation comes next
 DIGITS = 4  # significant
 

@@ -6,6 +6,7 @@
   // without a solver a method makes no evaluations: if that is the best one, costs are compared in seconds at first
   const idle = (m) => d.measures.some((one) => one.name === "Evaluations per run" && one.value[m].every((v) => v === 0 || v === null));
   const timed = d.methods.length > 0 && idle(0);
+  state.measure = Math.max(d.bound ? d.measures.findIndex((m) => m.bounded) : 0, 0); // that with the bound
   const several = d.points.length > 1, counts = d.axes.map((a) => new Set(a.texts).size);
   state.axis = Math.max(counts.indexOf(Math.max(...counts)), 0);
   const pointSelect = (name, draw) => (several ? [NF.select("Swept point", d.points, state[name], (v) => { state[name] = v; draw(); })] : []);
@@ -78,7 +79,7 @@
         return { method: m, name: d.methods[m], x, y, stepped: true };
       });
       return { title: "Runtime distribution", series, x: { label: cost, log: true }, y: { label: `runs that reach ${d.targets[state.target]} [%]`, span: [-3, 103] },
-        note: "Higher and further left is better. Each curve ends at the budget of its method, or at its longest run. Methods without a solver make no evaluations, so their curve is flat." };
+        note: "Higher and further left is better. Each curve ends at the budget of its method, or at its longest run." + (cost === "evaluations" ? " A method without a solver makes no evaluations, so that its curve is flat." : "") };
     });
 
   const kinds = Object.keys(d.progress), names = { error: `${d.error}`, gap: "gap to the reference optimum of the first problem" };
@@ -91,6 +92,6 @@
       const series = drawn.map((method) => ({ method, name: d.methods[method], x: x.map(NF.number),
         y: m[method][0].map(NF.number), low: m[method][1].map(NF.number), high: m[method][2].map(NF.number) }));
       return { title: "Error against budget", series, x: { label: "evaluations", log: true }, y: { label: `median ${names[kind]}`, log: true },
-        note: `The median over the scenes, with its 95 % interval. A point at the end alone means that the value on the way is not known.${missing.length ? ` Without a curve here: ${missing.join(", ")}.` : ""}` };
+        note: `The median over the scenes of what is reached within a budget, with its 95 % interval. A curve ends at the largest number of evaluations that a run made. A point at the end alone means that the value on the way is not known.${missing.length ? ` Without a curve here: ${missing.join(", ")}.` : ""}` };
     });
 })();
