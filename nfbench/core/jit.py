@@ -180,13 +180,13 @@ class _CheckedFiles(_caching.IndexDataCacheFile):  # type: ignore[misc]
 
 
 class _Cache(_caching.FunctionCache):  # type: ignore[misc]
-    _impl_class = _CacheImpl
-
     """Numba's cache, with checked files.
 
     Numba compiles products and quotients of complex numbers as functions, once per process, with the ``fastmath`` of
     the first kernel that has one. Each kernel gets its own: they are forgotten before and after it is compiled.
     """
+
+    _impl_class = _CacheImpl
 
     def __init__(self, function: Any) -> None:
         super().__init__(function)

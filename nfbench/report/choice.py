@@ -17,11 +17,12 @@ from nfbench.core import printable
 
 from .terminal import number_text, shown
 
-__all__ = ["print_choice"]
+__all__ = ["WORDS", "amount", "print_choice"]
 
 LABEL = 24  # characters of a label that are not wrapped
 SHOWN = 10  # methods that are printed, besides the cheapest set
 STYLES = {MEETS: "green", LIKELY: "yellow"}
+WORDS = {MEETS: "yes", LIKELY: "likely"}  # "no" otherwise
 
 
 def print_choice(choice: Choice, console: Console, methods: int = SHOWN) -> None:
@@ -54,7 +55,7 @@ def _methods(choice: Choice, most: int, width: int) -> Table:
         "share of\nscenes": lambda row: f"{row['share']:.0%}",
         f"{percent}\ninterval": lambda row: f"{100 * row['share_low']:.0f} – {100 * row['share_high']:.0f} %",
         f"worst at\n{printable(keys)}": lambda row: shown(_values(row["worst"])),
-        f"needed for\n{wanted}": lambda row: _amount(row["budget"], choice.unit, up=True),
+        f"needed for\n{wanted}": lambda row: amount(row["budget"], choice.unit, up=True),
         f"{percent}\nof it": lambda row: _ends(row, choice.unit),
     }
     if not places:
@@ -78,7 +79,7 @@ def _methods(choice: Choice, most: int, width: int) -> Table:
 
 def _verdict(row: dict[Any, Any]) -> Text:
     verdict = str(row["verdict"])
-    return Text({MEETS: "yes", LIKELY: "likely"}.get(verdict, "no"), STYLES.get(verdict, ""))
+    return Text(WORDS.get(verdict, "no"), STYLES.get(verdict, ""))
 
 
 def _values(place: str) -> str:
@@ -90,10 +91,11 @@ def _ends(row: dict[Any, Any], unit: str) -> str:
     low, high = row["budget_low"], row["budget_high"]
     if not math.isfinite(low) or not math.isfinite(row["budget"]):
         return ""
-    return f"{_amount(low, unit)} – {_amount(high, unit) if math.isfinite(high) else '?'}"
+    return f"{amount(low, unit)} – {amount(high, unit) if math.isfinite(high) else '?'}"
 
 
-def _amount(value: float, unit: str, *, up: bool = False) -> str:
+def amount(value: float, unit: str, *, up: bool = False) -> str:
+    """A number of evaluations or a time in words. up: whether it is rounded up, as a limit that suffices."""
     if not math.isfinite(value):
         return "–"
     return time_text(value, up=up) if unit == "s" else f"{value:,.0f}"
@@ -112,7 +114,7 @@ def _steps(choice: Choice) -> Table:
             shown(row["setting"]),
             _verdict(row),
             "–" if math.isnan(row["share"]) else f"{row['share']:.0%}",
-            _amount(row["budget"], choice.unit, up=True),
+            amount(row["budget"], choice.unit, up=True),
         )
     return table
 

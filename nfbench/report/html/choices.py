@@ -8,10 +8,11 @@ from typing import Any
 
 import pandas as pd
 
-from nfbench.analysis import LIKELY, MEETS, Overview, time_text
+from nfbench.analysis import Overview, time_text
 from nfbench.core import printable
 from nfbench.results import overviews
 
+from ..choice import WORDS, amount
 from ..terminal import number_text
 from .study import Study
 
@@ -20,7 +21,6 @@ __all__ = ["choices"]
 RELIABILITY = 0.95
 TARGETS = 4  # answers in a page
 METHODS = 8  # rows of a table of methods
-WORDS = {MEETS: "yes", LIKELY: "likely"}
 
 
 def choices(study: Study) -> list[dict[str, Any]]:
@@ -56,7 +56,7 @@ def _shown(study: Study, found: Overview) -> dict[str, Any]:
 
 
 def _ladder(frame: pd.DataFrame, unit: str) -> list[dict[str, str]]:
-    return [{"where": _amount(row["limit"], unit), **_step(row, unit)} for row in _rows(frame)]
+    return [{"where": amount(row["limit"], unit), **_step(row, unit)} for row in _rows(frame)]
 
 
 def _rows(frame: pd.DataFrame) -> list[dict[Any, Any]]:
@@ -66,7 +66,7 @@ def _rows(frame: pd.DataFrame) -> list[dict[Any, Any]]:
 def _method(row: dict[Any, Any], unit: str) -> dict[str, Any]:
     low, high = row["budget_low"], row["budget_high"]
     known = math.isfinite(low) and math.isfinite(row["budget"])
-    ends = f"{_amount(low, unit)} – {_amount(high, unit) if math.isfinite(high) else '?'}" if known else ""
+    ends = f"{amount(low, unit)} – {amount(high, unit) if math.isfinite(high) else '?'}" if known else ""
     return {
         "cheapest": bool(row["cheapest"]),
         "interval": f"{100 * row['share_low']:.0f} – {100 * row['share_high']:.0f} %",
@@ -81,14 +81,8 @@ def _step(row: dict[Any, Any], unit: str) -> dict[str, str]:
         "method": printable(row["setting"]),
         "verdict": WORDS.get(row["verdict"], "no"),
         "share": "–" if math.isnan(row["share"]) else f"{100 * row['share']:.0f} %",
-        "needed": _amount(row["budget"], unit, up=True),
+        "needed": amount(row["budget"], unit, up=True),
     }
-
-
-def _amount(value: float, unit: str, *, up: bool = False) -> str:
-    if not math.isfinite(value):
-        return "–"
-    return time_text(value, up=up) if unit == "s" else f"{value:,.0f}"
 
 
 def _prices(prices: pd.DataFrame) -> list[tuple[str, str]]:

@@ -182,7 +182,7 @@ def _fails(study: Study, method: str) -> str:
     single = len(study.points) == 1
     if not missed:
         scenes_ = f"{total // len(study.points)} scenes"
-        where = f"{scenes_}" if single else f"{scenes_} at each of {len(study.points)} swept points"
+        where = scenes_ if single else f"{scenes_} at each of {len(study.points)} swept points"
         return f"{method} misses {goal} in none of the {where}."
     listed = ", ".join(f"{scene}" if single else f"{scene} ({label})" for label, scene in missed[:NAMED])
     more = f" and {len(missed) - NAMED} more" if len(missed) > NAMED else ""

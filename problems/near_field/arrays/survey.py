@@ -113,7 +113,7 @@ def _shape(Q: Float[ndarray, "m 3"], axes: Float[ndarray, "3 3"], wavelength: fl
 def _near_field(array: Array, wavelength: float) -> Iterator[tuple[str, str]]:
     D = array.aperture_m(wavelength)
     fresnel, fraunhofer = 0.62 * math.sqrt(D**3 / wavelength), 2 * D**2 / wavelength
-    yield "Fresnel distance", f"{fresnel:.4g} m, 0.62·√(D³/λ): the fresnel wavefront is inaccurate below"
+    yield "Fresnel distance", f"{fresnel:.4g} m, 0.62·√(D³/λ): closer, the Fresnel approximation is inaccurate"
     yield "Fraunhofer distance", f"{fraunhofer:.4g} m, 2D²/λ: farther, ranges can hardly be estimated"
 
 
