@@ -1,8 +1,8 @@
 """The compiled kernels of the objectives: response vectors, RLS and subspace fitting.
 
 A value does not depend on which other points are evaluated with it: one point is a batch of one, because the same sum
-may be rounded in another way in another kernel. Kernels are compiled once per machine and kept on
-disk; ``warm_up`` loads them before any clock runs.
+may be rounded in another way in another kernel. Kernels are compiled once per machine and kept on disk; ``warm_up``
+loads them before any clock runs.
 """
 
 from __future__ import annotations
@@ -16,11 +16,7 @@ from nfbench import load_kernels
 
 from .packing import LANES, WAVEFRONTS, pack_factor, pack_geometry, pack_rows
 from .response_vectors import NEAR, advance_slopes, phasors, responses, towards
-from .rls import (
-    projected_energy,
-    projected_energy_and_gradient,
-    repulsion,
-)
+from .rls import projected_energy, projected_energy_and_gradient, repulsion
 from .subspace_fitting import fill_singular, misfit, misfit_and_gradient
 
 __all__ = [

@@ -17,11 +17,7 @@ from .inner_products import SUMS, inner_products_of_four, uint
 from .packing import LANES, ROWS, ArrayModel
 from .response_vectors import phase_gradient, respond, source_at
 
-__all__ = [
-    "projected_energy",
-    "projected_energy_and_gradient",
-    "repulsion",
-]
+__all__ = ["projected_energy", "projected_energy_and_gradient", "repulsion"]
 
 _BLOCK = 16  # candidates whose responses stay in the first-level cache while the factor streams past them
 

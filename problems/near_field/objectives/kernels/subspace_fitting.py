@@ -28,12 +28,7 @@ from .packing import LANES, ROWS, ArrayModel
 from .response_vectors import Source, phase_gradient, respond, source_at
 from .singular import singular_fit
 
-__all__ = [
-    "SINGULAR",
-    "fill_singular",
-    "misfit",
-    "misfit_and_gradient",
-]
+__all__ = ["SINGULAR", "fill_singular", "misfit", "misfit_and_gradient"]
 
 SINGULAR = 1e-5
 """The value of det(G)/M^K below which a candidate is left to ``singular``.
