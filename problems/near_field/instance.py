@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import permutations
 from typing import final
 
@@ -53,6 +53,7 @@ class NearFieldInstance(ArrayInstance):
     element_positions: true positions of the elements relative to the nominal origin [m], shape (M, 3).
     amplitude: amplitude of the line of sight over the array, "constant" or "spherical".
     correlation: correlation matrix of the symbols, shape (K, K).
+    known_bounds: the result of ``bounds``, once it is known.
     """
 
     Y: Complex[ndarray, "m t"]
@@ -74,6 +75,7 @@ class NearFieldInstance(ArrayInstance):
     amplitude: Amplitude = "constant"
     correlation: Complex[ndarray, "k k"] | None = None
     further: tuple[Band, ...] = ()
+    known_bounds: dict[str, float] = field(default_factory=dict, init=False, repr=False)
 
     @property
     def bands(self) -> tuple[Band, ...]:
@@ -141,6 +143,11 @@ class NearFieldInstance(ArrayInstance):
 
         With a planar wavefront, from which the range cannot be estimated, there are no columns.
         """
+        if not self.known_bounds:
+            self.known_bounds.update(self._bounds())
+        return dict(self.known_bounds)
+
+    def _bounds(self) -> dict[str, float]:
         if self.manifold.wavefront == "planar":
             return {}
         if math.isfinite(self.rician_k):

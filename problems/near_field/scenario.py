@@ -16,6 +16,7 @@ from nfbench import Ge, Gt, Instance, Le, Lt, OneOf, OptionError, Scenario, Surv
 from .arrays import AnyArray, unusual
 from .arrays.survey import survey
 from .bands import Band, spread_bins
+from .cached_draw import drawn_once
 from .carrier import Frequency, Speed, Wavelength, carrier_problems, carrier_wavelength
 from .channels import IID, ClusterAroundSource, Clusters, Isotropic, NLoS, complex_normal, rician
 from .fixed_sources import cartesian_problems, cartesian_sources, spherical_problems, spherical_sources
@@ -254,15 +255,18 @@ class NearField(Scenario):
         ``min_separation_deg`` apart.
         """
         self.warm_up()  # so that no measured time includes the compilation
-        for_positions, for_fading, for_symbols, for_noise, for_impairments, for_bins = rng.spawn(6)
+        return drawn_once(self, rng.spawn(6), self._drawn)
+
+    def _drawn(self, streams: Sequence[np.random.Generator]) -> NearFieldInstance:
+        for_positions, for_fading, for_symbols, for_noise, for_impairments, for_bins = streams
         lower, upper = self.box()
         theta = self._place_sources(for_positions, lower, upper)
         snr = 10.0 ** (np.broadcast_to(self.snr_db, self.sources) / 10)
         first, *others = self.manifolds()
         array = self.impairments.draw(for_impairments, first)
         Y, _, H, symbols = self._receive((for_fading, for_symbols, for_noise), first, array, theta, snr)
-        streams = [own.spawn(3) for own in for_bins.spawn(len(others))]
-        further = [self._receive(own, at, array, theta, snr) for own, at in zip(streams, others, strict=True)]
+        of_bins = [own.spawn(3) for own in for_bins.spawn(len(others))]
+        further = [self._receive(own, at, array, theta, snr) for own, at in zip(of_bins, others, strict=True)]
         correlation = self.impairments.correlation(self.sources)
         return NearFieldInstance(
             Y,

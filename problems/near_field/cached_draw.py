@@ -1,0 +1,45 @@
+"""Keeps the last scene that was drawn: the methods of a study run on it one after another."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable, Hashable, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from .instance import NearFieldInstance
+    from .scenario import NearField
+
+__all__ = ["drawn_once"]
+
+_last: tuple[Hashable, NearFieldInstance] | None = None  # of this process
+
+
+def drawn_once(
+    scenario: NearField,
+    streams: Sequence[np.random.Generator],
+    draw: Callable[[Sequence[np.random.Generator]], NearFieldInstance],
+) -> NearFieldInstance:
+    """Return ``draw(streams)``, or a copy of it if the last call had an equal scenario and equal streams.
+
+    scenario: scenario of the scene. streams: new generators. draw: function that depends on these two alone.
+
+    A copy has arrays of its own, so that a method that writes to the data of a scene does not change them for the next
+    one. All copies share the bounds of the scene.
+    """
+    global _last
+    key = (scenario, *map(_identity, streams))
+    last = _last
+    if last is None or last[0] != key:
+        last = _last = (key, draw(streams))
+    return copy.deepcopy(last[1], {id(last[1].known_bounds): last[1].known_bounds})
+
+
+def _identity(stream: np.random.Generator) -> Hashable:
+    """What determines the numbers of a new generator."""
+    seeds = stream.bit_generator.seed_seq
+    entropy = seeds.entropy  # type: ignore[attr-defined]  # of a SeedSequence
+    numbers = entropy if isinstance(entropy, int) else tuple(np.atleast_1d(entropy).tolist())
+    return type(stream.bit_generator), numbers, tuple(seeds.spawn_key)  # type: ignore[attr-defined]
