@@ -107,8 +107,11 @@ def judge_claims(claims: Sequence[Claim], points: Sequence[Point], *, unfinished
     return pd.DataFrame(rows, columns=COLUMNS)
 
 
-def quantity(compare: Compare) -> str:
-    """What the estimate of a claim is of, and its limits, in words: "error: better ÷ worse, below 1"."""
+def quantity(compare: Compare, target: str = "the first target") -> str:
+    """What the estimate of a claim is of, and its limits, in words: "error: better ÷ worse, below 1".
+
+    target: the first target of the study in words.
+    """
     kind, least, most = compare.kind, compare.at_least, compare.at_most
     if kind == "floor" and least is None:
         least = FLOOR
@@ -119,14 +122,14 @@ def quantity(compare: Compare) -> str:
         least = {"grows": 1.0, "degrades": 1.0, "equal": 1 / factor}.get(kind)
         most = {"falls": 1.0, "better": factor, "equal": factor}.get(kind)
     if compare.measure == "hits" and kind == "better":
-        return "share of runs of the better method that hit the first target"
+        return f"share of runs of the better method that reach {target}"
     share = f"share of runs with the status {compare.status}" if compare.status else "share of failed runs"
     what = {
         "better": "better ÷ worse",
         "equal": "first ÷ second",
         "degrades": "its growth ÷ that of the other",
         "exponent": f"exponent of its growth with {compare.key}",
-        "fails": "share of runs that miss the first target" if compare.measure == "hits" else share,
+        "fails": f"share of runs that miss {target}" if compare.measure == "hits" else share,
         "runs": share,
     }.get(kind, "next ÷ previous value" if compare.every_step else f"at the last ÷ first {compare.key}")
     if compare.start is not None and kind in ("changes", "floor"):

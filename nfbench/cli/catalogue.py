@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import inspect
 import io
 import math
-import re
 import typing
 from collections.abc import Callable, Iterable
 from typing import Any
@@ -30,7 +28,7 @@ from nfbench.core import (
     printable,
     suggest,
 )
-from nfbench.plugins import GROUPS, Plugin, Registry, rehearse
+from nfbench.plugins import GROUPS, Plugin, Registry, description, rehearse
 
 __all__ = ["Filter", "print_catalogue", "print_plugin"]
 
@@ -141,7 +139,7 @@ def _print_plugin(plugin: Plugin, console: Console) -> None:
     kind, name, cls = plugin.kind, plugin.name, plugin.resolve()
     console.print(Text.assemble((printable(f"{kind} {name}"), "bold"), f" ({printable(plugin.origin)})\n"))
     try:
-        for line in _doc(cls).split("\n"):
+        for line in description(cls).split("\n"):
             console.print(_text(line))
         missing = plugin.missing()
         if issubclass(cls, Solver):
@@ -246,43 +244,9 @@ def _row(kind: str, cls: Any, missing: str | None) -> list[str]:
             f"{info.extra or ''}{' (not installed)' if missing else ''}".strip(),
             info.reference,
         ]
-    first_line = _doc(cls).partition("\n")[0]
-    description = f"{first_line} (not installed)" if missing else first_line
-    return [("yes" if cls.needs_solver else "no") if kind == "formulation" else cls.error, description]
-
-
-def _doc(cls: type) -> str:
-    """The class's own docstring; empty if it only has the signature that dataclasses generate."""
-    doc = inspect.getdoc(cls) or ""
-    if doc.startswith(f"{cls.__name__}("):
-        return ""
-    return _joined(doc)
-
-
-def _joined(doc: str) -> str:
-    """Join wrapped lines, so that the terminal can wrap them; paragraphs, lists and ``name: …`` start a new line.
-
-    An indented line continues the entry or list item above it. Elsewhere it is left alone, as in a block of code.
-    """
-    lines: list[str] = []
-    entry = False  # whether the current line began as an entry ``name: …`` or as a list item
-    for line in doc.split("\n"):
-        bare = line.strip()
-        if not bare or not lines or not lines[-1]:
-            entry = _starts_entry(bare)
-            lines.append(line.rstrip())
-        elif _starts_entry(bare) and not (entry and line[0].isspace()):
-            entry = True
-            lines.append(line)
-        elif line[0].isspace() and not entry:
-            lines.append(line)
-        else:
-            lines[-1] += f" {bare}"
-    return "\n".join(lines)
-
-
-def _starts_entry(line: str) -> bool:
-    return re.match(r"(\w[\w, ]*: |[-*•] |\d+[.)] )", line) is not None
+    first_line = description(cls).partition("\n")[0]
+    about = f"{first_line} (not installed)" if missing else first_line
+    return [("yes" if cls.needs_solver else "no") if kind == "formulation" else cls.error, about]
 
 
 def _type(hint: Any) -> str:

@@ -27,6 +27,7 @@ class Cut:
     scale: factors from the problem's units to those of the labels.
     marks: true positions to mark in the plane, in the problem's units, shape (k, 2).
     spectrum: whether to show the objective upside down, as a spectrum whose peaks are the minima.
+    about: a sentence about what the objective measures; may be empty.
     """
 
     name: str
@@ -37,6 +38,7 @@ class Cut:
     scale: tuple[float, float]
     marks: Float[ndarray, "k 2"]
     spectrum: bool = False
+    about: str = ""
 
     def plane(self) -> Plane:
         """Return the problem whose unknowns are the two free coordinates."""

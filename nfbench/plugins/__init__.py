@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from .containment import Containment, moved_up
+from .description import description
 from .groups import GROUPS, members
 from .nested import (
     NestedFormulation,
@@ -28,6 +29,7 @@ __all__ = [
     "Plugin",
     "Registry",
     "combined_info",
+    "description",
     "formulation_of",
     "members",
     "moved_up",

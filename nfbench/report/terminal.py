@@ -318,7 +318,10 @@ def number_text(value: float) -> str:
 
 
 def _interval(low: float, high: float) -> str:
-    return "" if math.isnan(low) else f"{number_text(low)} – {number_text(high)}"
+    if math.isnan(low):
+        return ""
+    first, last = number_text(low), number_text(high)
+    return f"≈ {first}" if first == last else f"{first} – {last}"
 
 
 def _percent(share: float) -> str:

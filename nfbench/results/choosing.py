@@ -84,7 +84,7 @@ def choose(
     rows = _chosen(rows, at or {})
     labels = [wanted.label, *(each.label for each in evidence.targets if each != wanted)]
     points = {label: cells_of(rows[rows["target"] == label], parallel) for label in labels}
-    return answer(points, wanted.label, request, [*notes, *hits.notes])
+    return answer(points, wanted.label, request, [*notes, *_about_gaps(wanted, runs), *hits.notes])
 
 
 def overviews(
@@ -158,6 +158,17 @@ def _chosen(rows: pd.DataFrame, at: Mapping[str, Any]) -> pd.DataFrame:
         rows = rows.assign(method=named.where(rows["solver"] != "", rows["method"])).drop(columns=column)
         rows = rows.drop_duplicates(["run_id", "target", "method", *swept_columns(rows)])
     return rows
+
+
+def _about_gaps(target: Target, runs: pd.DataFrame) -> list[str]:
+    """A sentence if the target is a gap and there are several formulations, which have different objectives."""
+    names = sorted(set(runs["formulation"].dropna()))
+    if target.kind != "gap" or len(names) < 2:
+        return []
+    return [
+        f"A gap is that of the first problem of a formulation. It does not compare {', '.join(names)} with each other, "
+        "and a method may reach it without finding all sources."
+    ]
 
 
 def _rows(runs: pd.DataFrame, hits: Hits, request: Request) -> tuple[pd.DataFrame, list[str]]:

@@ -18,6 +18,9 @@ __all__ = ["landscape_cuts"]
 
 _LABELS, _FLAT = ("Azimuth [°]", "Elevation [°]", "Range [m]"), ("Azimuth [°]", "Range [m]")
 _UNITS = (180 / math.pi, 180 / math.pi, 1.0)
+_RLS = "Residual least squares: the energy of the received data that one source at this place leaves unexplained."
+_ESF = "Eigen-subspace fitting: the part of the signal subspace that sources at these places leave unexplained."
+_MUSIC = "How well a source at this place fits the signal subspace."
 
 
 def landscape_cuts(
@@ -36,19 +39,20 @@ def landscape_cuts(
     [rad, m].
     """
     K = len(theta)
-    found = list(_cuts("RLS", RLS(Y, manifold, lower, upper), theta[0], theta))
+    found = list(_cuts("RLS", _RLS, RLS(Y, manifold, lower, upper), theta[0], theta))
     if Y.shape[1] < K or manifold.elements <= K:
         return tuple(found)
     U_s = signal_subspace(Y, K)
     esf = SubspaceFit(U_s, manifold, lower, upper, sources=K)
-    found += _cuts("ESF" if K == 1 else "ESF, source 1", esf, theta.ravel(), theta)
+    found += _cuts("ESF" if K == 1 else "ESF, source 1", _ESF, esf, theta.ravel(), theta)
     # ‖(I − P_a)U_s‖² = K − ‖U_sᴴa‖²/M, so RLS of the subspace less K − 1 is the denominator of the spectrum
-    found += _cuts("MUSIC spectrum", RLS(U_s, manifold, lower, upper), theta[0], theta, spectrum=True)
+    found += _cuts("MUSIC spectrum", _MUSIC, RLS(U_s, manifold, lower, upper), theta[0], theta, spectrum=True)
     return tuple(found)
 
 
 def _cuts(
     name: str,
+    about: str,
     problem: RLS | SubspaceFit,
     through: Float[ndarray, " n"],
     theta: Float[ndarray, "k d"],
@@ -57,7 +61,8 @@ def _cuts(
     d = theta.shape[1]
     labels, units = (_FLAT, _UNITS[1:]) if d == 2 else (_LABELS, _UNITS)
     inside = theta if d == 2 else theta[:1]  # the sources in the planes
-    return [
-        Cut(name, problem, through, (i, j), (labels[i], labels[j]), (units[i], units[j]), inside[:, [i, j]], spectrum)
-        for i, j in ([(0, 1)] if d == 2 else [(0, 2), (0, 1)])
-    ]
+    found = []
+    for i, j in [(0, 1)] if d == 2 else [(0, 2), (0, 1)]:
+        axes, scale = (labels[i], labels[j]), (units[i], units[j])
+        found.append(Cut(name, problem, through, (i, j), axes, scale, inside[:, [i, j]], spectrum, about))
+    return found

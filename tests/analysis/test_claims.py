@@ -338,7 +338,7 @@ def test_the_claims_of_the_paper_can_be_stated(table):
         ({"better": "a", "worse": "b", "factor": 0.5, "measure": "seconds"}, "seconds: better ÷ worse, below 0.5"),
         (
             {"better": "a", "worse": "b", "measure": "hits"},
-            "share of runs of the better method that hit the first target",
+            "share of runs of the better method that reach the first target",
         ),
         ({"equal": ["a", "b"], "factor": 1.25}, "error: first ÷ second, above 0.8 and below 1.25"),
         ({"grows": "a", "key": SNR}, f"error: at the last ÷ first {SNR}, above 1"),

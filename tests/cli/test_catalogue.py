@@ -6,9 +6,9 @@ import textwrap
 import pytest
 from rich.console import Console
 
-from nfbench.cli.catalogue import Filter, _joined, print_catalogue, print_plugin
+from nfbench.cli.catalogue import Filter, print_catalogue, print_plugin
 from nfbench.core import PluginError
-from nfbench.plugins import Registry
+from nfbench.plugins import Registry, description
 from nfbench.testing import check_scenario
 
 PLUGINS = '''
@@ -161,7 +161,8 @@ def test_a_description_is_one_line_however_the_source_wraps_it(registry):
     ],
 )
 def test_wrapped_lines_are_joined(source, joined):
-    assert _joined(source) == joined
+    described = type("Described", (), {"__doc__": source})
+    assert description(described) == joined
 
 
 @pytest.mark.parametrize("kind", ["solver", "formulation", "scenario"])

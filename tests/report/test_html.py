@@ -75,6 +75,17 @@ def test_the_scenes_that_the_recommended_method_misses_are_listed(page, results)
         assert "in none of the 14 scenes at each of 2 swept points" in page.text
 
 
+def test_what_the_formulations_and_solvers_are_is_said(page):
+    assert "Near-field eigen-subspace fitting: minimizes ESF once over all sources" in page.text
+    assert "Differential evolution with synchronous generations" in page.text and "Storn & Price 1997" in page.text
+    assert "Residual least squares: the energy of the received data" in page.data["landscapes"][0]["about"]
+
+
+def test_how_to_install_what_was_used_is_said(page, results):
+    versions = json.loads((results.folder / "environment.json").read_text())["versions"]
+    assert f"numpy=={versions['numpy']}" in page.text and "pip install -e '.'" in page.text
+
+
 def test_claims_have_their_verdict_and_numbers(page, results):
     claim = results.claims().iloc[0]
     assert claim["text"] in page.text

@@ -5,6 +5,7 @@ import shutil
 import subprocess
 
 import numpy as np
+import pandas as pd
 import pytest
 from PIL import Image
 from small_study import run_in
@@ -38,15 +39,34 @@ addEventListener("load", () => setTimeout(() => {
   say("filtered", [...inside.querySelectorAll("#methods-table tbody tr")].filter((row) => !row.hidden).length);
   const named = [...inside.querySelectorAll("select, input")].every((each) => each.labels.length === 1);
   say("named", named);
+  say("point", find("#scene-map select").selectedOptions[0].textContent);
 }, 1500));
+"""
+
+
+# The ticks of logarithmic axes of many limits and lengths: the smallest gap between two labels, and the fewest ticks.
+TICKS = """
+const gaps = [], counts = [];
+for (const pixels of [176, 300, 900])
+  for (const low of [1e-7, 0.013, 0.2, 3, 70])
+    for (const ratio of [1.7, 4, 9, 60, 800, 3e4, 1e12]) {
+      const high = low * ratio, ticks = NF.logSplits(low, high, pixels, 50);
+      counts.push(ticks.length);
+      if (ticks.some((v) => v < low || v > high)) gaps.push(-1);
+      ticks.slice(1).forEach((v, i) => gaps.push((Math.log(v / ticks[i]) / Math.log(ratio)) * pixels));
+    }
+document.body.setAttribute("data-gap", Math.min(...gaps));
+document.body.setAttribute("data-fewest", Math.min(...counts));
 """
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """A folder with the page, and a frame of the width of a phone around it that reports on it."""
+    """A folder with the page, a frame of the width of a phone around it that reports on it, and the results."""
     folder = tmp_path_factory.mktemp("page")
-    (folder / "page.html").write_text(html_report(run_in(folder)), encoding="utf-8")
+    page = html_report(run_in(folder))
+    (folder / "page.html").write_text(page, encoding="utf-8")
+    (folder / "ticks.html").write_text(page.replace("</body>", f"<script>{TICKS}</script></body>"), encoding="utf-8")
     frame = '<body style="margin:0"><iframe src="page.html" style="width:390px;height:6000px;border:0"></iframe>'
     (folder / "frame.html").write_text(frame)
     (folder / "phone.html").write_text(f"{frame}<script>{PROBE}</script>")
@@ -91,6 +111,20 @@ def test_a_phone_shows_all_without_scrolling_sideways_and_controls_work(folder):
     assert re.search(r"neef \+ .*: runs that reach error ≤ 3 bounds \[%\] \S+ at evaluations", found["read"])
     assert found["sorted"].endswith("neef + de") and found["reversed"].endswith("neef + random-search")
     assert (found["filtered"], found["named"]) == ("1", "true")
+
+
+def test_the_table_of_scenes_opens_where_most_scenes_are_missed(folder):
+    hits = pd.read_csv(folder / "out" / "targets.csv").query("target == 'error ≤ 3 bounds'")
+    shares = hits.groupby("scenario.snr_db")["hits"].sum()
+    assert shares.idxmin() != shares.index[0]  # not the point that comes first anyway
+    document, _ = chromium(folder, "phone.html", "--dump-dom", "--window-size=800,6000")
+    assert re.search(r'data-point="([^"]*)"', document)[1] == f"SNR = {shares.idxmin():.0f} dB"
+
+
+def test_labels_of_logarithmic_axes_do_not_overlap(folder):
+    document, messages = chromium(folder, "ticks.html", "--dump-dom", "--window-size=800,2000")
+    found = dict(re.findall(r'data-(gap|fewest)="([^"]*)"', document))
+    assert messages == [] and float(found["gap"]) >= 45 and int(found["fewest"]) >= 1
 
 
 @pytest.mark.parametrize("name, width", [("page.html", 1280), ("frame.html", 500)])

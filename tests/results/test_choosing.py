@@ -3,13 +3,14 @@
 import json
 
 import numpy as np
+import pandas as pd
 import pytest
 from conftest import nfbench as command
 
 import nfbench
 from nfbench import OptionError, load_study
 from nfbench.analysis import Target
-from nfbench.results.choosing import _inside_share, target_named
+from nfbench.results.choosing import _about_gaps, _inside_share, target_named
 from nfbench.results.results import Results
 
 STUDY = """
@@ -88,6 +89,15 @@ def test_restarts_cost_all_runs_and_count_the_best_value(swept):
     once = own["hit"].mean()
     assert either > once, "otherwise this study shows nothing"
     assert twice["share"].tolist() == pytest.approx([either])  # the smaller gap is the better value
+
+
+@pytest.mark.parametrize(
+    "kind, formulations, warnings",
+    [("gap", ["neef", "nemo", "neef"], 1), ("gap", ["neef", "neef"], 0), ("error", ["neef", "nemo"], 0)],
+)
+def test_gaps_of_several_formulations_come_with_a_warning(kind, formulations, warnings):
+    notes = _about_gaps(Target(kind, 1e-3), pd.DataFrame({"formulation": formulations}))
+    assert sum("does not compare neef, nemo with each other" in note for note in notes) == warnings == len(notes)
 
 
 def test_swept_budgets_are_methods(results):

@@ -24,9 +24,14 @@ METHODS = 8  # rows of a table of methods
 
 
 def choices(study: Study) -> list[dict[str, Any]]:
-    """The answer for each target: its sentences, tables of texts, and the command that asks for more."""
-    found = overviews(study.evidence, RELIABILITY, study.setting)[:TARGETS]
-    return [_shown(study, each) for each in found if len(each.choice.frame)]
+    """The answer for each target: its sentences, tables of texts, and the command that asks for more.
+
+    A gap is that of the first problem of a formulation, so it recommends nothing if there are several formulations.
+    """
+    several = study.runs["formulation"].nunique() > 1
+    found = overviews(study.evidence, RELIABILITY, study.setting)
+    fit = [each for each in found if len(each.choice.frame) and not (several and each.choice.target.startswith("gap"))]
+    return [_shown(study, each) for each in fit[:TARGETS]]
 
 
 def _shown(study: Study, found: Overview) -> dict[str, Any]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,7 @@ from nfbench.results import Results, write_whole
 from ..terminal import number_text
 from . import comparison, provenance, scenes
 from .choices import choices
+from .parts import parts
 from .redrawn import Redrawn
 from .study import Study, numbers
 
@@ -60,7 +62,8 @@ def html_report(results: Results) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters |= {"number": _number, "percent": _percent, "printable": printable}
+    environment.filters |= {"number": _number, "range": _range, "percent": _percent, "printable": printable}
+    environment.filters |= {"share": _share}
     environment.filters["first_sentence"] = lambda text: text.partition(". ")[0].rstrip(".") + "."
     return environment.get_template("report.html.j2").render(context)
 
@@ -70,6 +73,7 @@ def _context(study: Study, redrawn: Redrawn) -> dict[str, Any]:
     tables = comparison.rank_rows(study)
     data["tables"] = tables
     meta, runs = study.meta, study.runs
+    used = parts(study.results.folder)
     left = study.results.counts.get("open", 0)
     return {
         "title": printable(meta["title"] or meta["name"]),
@@ -85,6 +89,7 @@ def _context(study: Study, redrawn: Redrawn) -> dict[str, Any]:
         "points": study.points,
         "choices": choices(study),
         "heads": comparison.headings(study),
+        "parts": used,
         "claims": _claims(study),
         "failures": _failures(runs),
         "proofs": _proofs(study),
@@ -92,7 +97,8 @@ def _context(study: Study, redrawn: Redrawn) -> dict[str, Any]:
         "scenario": provenance.scenario_rows(study.results.folder, study.labels),
         "array": _array_facts(redrawn),
         "reason": redrawn.reason,
-        "origin": provenance.origin(study.results.folder, meta["name"]),
+        "origin": provenance.origin(study.results.folder, meta["name"], runs["cpu_s"]),
+        "extras": ",".join(dict.fromkeys(row["extra"] for row in used if row["extra"])),
         "notes": [printable(note) for note in [*study.evidence.hits.notes, *notes]],
         "data": _script_json(data),
         "scripts": [_static(name) for name in SCRIPTS],
@@ -112,6 +118,8 @@ def _data(study: Study, redrawn: Redrawn) -> tuple[dict[str, Any], list[str]]:
         notes.append(
             f"Positions and traces of single scenes are shown for {len(study.shown)} of {len(study.methods)} methods."
         )
+    if study.runs["formulation"].nunique() > 1 and any(target.startswith("gap") for target in study.targets):
+        notes.append("No method is recommended for a gap, since the gaps of different formulations cannot be compared.")
     total = sum(len(each.scenes) for each in study.outcomes if each is not None)
     if (kept := sum(map(len, chosen.values()))) < total:
         notes.append(f"Positions and traces are shown for {kept} of {total} scenes, the hardest of each point.")
@@ -183,7 +191,7 @@ def _fails(study: Study, method: str) -> str:
     if not missed:
         scenes_ = f"{total // len(study.points)} scenes"
         where = scenes_ if single else f"{scenes_} at each of {len(study.points)} swept points"
-        return f"{method} misses {goal} in none of the {where}."
+        return f"Nowhere in this study: {method} reaches {goal} in all {where}."
     listed = ", ".join(f"{scene}" if single else f"{scene} ({label})" for label, scene in missed[:NAMED])
     more = f" and {len(missed) - NAMED} more" if len(missed) > NAMED else ""
     return f"{method} misses {goal} in {len(missed)} of {total} scenes: {listed}{more}."
@@ -202,7 +210,9 @@ def _verdicts(study: Study) -> list[tuple[str, str]]:
 def _claims(study: Study) -> list[dict[Any, Any]]:
     """The rows of ``claims.csv``, and what each estimate is of."""
     rows = study.evidence.claims().to_dict("records")
-    return [row | {"quantity": quantity(each.compare)} for row, each in zip(rows, study.evidence.stated, strict=True)]
+    target = study.goal(study.targets[0]) if study.targets else "the first target"
+    what = [quantity(each.compare, target) for each in study.evidence.stated]
+    return [row | {"quantity": text, "shares": text.startswith("share")} for row, text in zip(rows, what, strict=True)]
 
 
 def _failures(runs: pd.DataFrame) -> list[dict[str, Any]]:
@@ -247,8 +257,18 @@ def _number(value: Any) -> str:
     return f"{float(f'{value:.3g}'):,.0f}" if 1e4 <= size < 1e7 else number_text(float(value)).replace("inf", "∞")
 
 
+def _range(low: Any, high: Any) -> str:
+    first, last = _number(low), _number(high)
+    return f"≈ {first}" if first == last else f"{first} – {last}"
+
+
 def _percent(value: Any) -> str:
     return "–" if value is None else f"{100 * float(value):.0f} %"
+
+
+def _share(value: Any) -> str:
+    """A share in per cent with one decimal place."""
+    return "–" if value is None or value == "" or math.isnan(value) else f"{float(f'{100 * value:.1f}'):g} %"
 
 
 def _static(name: str) -> Markup:

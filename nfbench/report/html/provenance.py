@@ -9,31 +9,49 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import pandas as pd
+
+from nfbench.analysis import time_text
 from nfbench.core import printable
 
 __all__ = ["origin", "scenario_rows"]
 
 LONGEST = 200_000  # characters of a manifest that is shown
+FACTS = {
+    "python": "Python",
+    "platform": "platform",
+    "cpu": "processor",
+    "cores": "cores",
+    "jobs": "worker processes",
+    "started": "last session started",
+    "ended": "last session ended",
+}
 
 
-def origin(folder: Path, name: str) -> dict[str, Any]:
-    """The manifest as text, the environment as rows, and the command that repeats the study."""
+def origin(folder: Path, name: str, cpu_s: pd.Series) -> dict[str, Any]:
+    """The manifest as text, the environment as rows, and the command that repeats the study.
+
+    cpu_s: processor time of each run [s].
+    """
     environment = _environment(folder)
     git = environment.get("git") if isinstance(environment.get("git"), dict) else {}
     commit = str((git or {}).get("commit") or "")
     changed = " with local changes, which are not in the commit" if (git or {}).get("dirty") else ""
-    rows = [(key, environment[key]) for key in ("python", "platform", "cpu", "cores", "jobs", "started", "ended")
-            if environment.get(key) is not None]  # fmt: skip
-    if commit:
-        rows.append(("commit", commit + changed))
+    rows = [(text, environment[key]) for key, text in FACTS.items() if environment.get(key) is not None]
     earlier = environment.get("earlier")
     if isinstance(earlier, list) and earlier:
         rows.append(("earlier sessions", len(earlier)))
+    rows.append(("processor time of all runs", time_text(float(cpu_s.sum()))))
+    if commit:
+        rows.append(("commit", commit + changed))
     versions = environment.get("versions")
+    versions = versions if isinstance(versions, dict) else {}
     return {
         "manifest": _shown(_text(folder / "manifest.toml")),
         "rows": [(key, printable(value)) for key, value in rows],
-        "versions": [(printable(k), printable(v)) for k, v in versions.items()] if isinstance(versions, dict) else [],
+        "pins": [printable(f"{k}=={v}") for k, v in versions.items() if k != "nfbench"]
+        if isinstance(versions, dict)
+        else [],
         "command": f"nfbench run manifest.toml --out {shlex.quote('results/' + printable(name))}",
         "commit": printable(commit[:10] + changed if commit else ""),
     }

@@ -197,6 +197,7 @@ def _cut(cut: Cut) -> dict[str, Any]:
     corners = np.array([[plane.lower[0], plane.lower[1]], [plane.upper[0], plane.upper[1]]]) * scale
     return {
         "name": printable(cut.name),
+        "about": printable(cut.about),
         "png": _picture(values),
         "box": numbers(corners.T.ravel()),
         "axes": [printable(axis) for axis in cut.axes],

@@ -16,8 +16,10 @@ NF.text = (v) => {
   return short.replace("-", "−");
 };
 NF.percent = (v) => (Number.isNaN(NF.number(v)) ? "–" : `${Math.round(100 * v)} %`);
-NF.range = (low, high, show = NF.text) =>
-  Number.isNaN(NF.number(low)) || Number.isNaN(NF.number(high)) ? "" : `${show(low)} – ${show(high)}`;
+NF.range = (low, high, show = NF.text) => {
+  if (Number.isNaN(NF.number(low)) || Number.isNaN(NF.number(high))) return "";
+  return show(low) === show(high) ? `≈ ${show(low)}` : `${show(low)} – ${show(high)}`;
+};
 
 // An element; text is set as text, never as markup.
 NF.el = (tag, attributes = {}, ...children) => {
@@ -30,6 +32,12 @@ NF.el = (tag, attributes = {}, ...children) => {
   }
   for (const child of children.flat()) if (child !== null && child !== undefined) node.append(child);
   return node;
+};
+
+// The name of a method, which may break after a bracket or before the budget.
+NF.name = (method) => {
+  const parts = NF.data.methods[method].split(/(?<=[(,=+])(?=\S)|(?=@)/);
+  return parts.flatMap((part, i) => (i ? [NF.el("wbr"), part] : [part]));
 };
 
 NF.select = (label, options, value, change) => {
@@ -84,7 +92,7 @@ NF.legend = (host, methods = NF.slots) => {
   host.replaceChildren(...methods.map((method) => NF.el("button", {
     type: "button", class: "key", "aria-pressed": String(!NF.hidden.has(method)), "data-method": method,
     onclick: () => { if (!NF.hidden.delete(method)) NF.hidden.add(method); NF.changed(); },
-  }, NF.sample(method), NF.el("span", {}, NF.data.methods[method]))));
+  }, NF.sample(method), NF.el("span", {}, NF.name(method)))));
   if (focused !== null) host.querySelector(`[data-method="${focused}"]`)?.focus();
 };
 

@@ -5,22 +5,29 @@ NF.css = (name) => getComputedStyle(document.documentElement).getPropertyValue(n
 
 NF.usable = (v, log) => Number.isFinite(v) && (!log || v > 0);
 
-// The ticks of a logarithmic axis: powers of ten, with multiples of them where there are few, or even steps.
-NF.logSplits = (low, high) => {
+// The ticks of a logarithmic axis that is so many pixels long: powers of ten, with multiples of them where there are few,
+// or even steps; labels are at least gap pixels apart.
+NF.logSplits = (low, high, pixels, gap) => {
   const ratio = high / low, first = Math.floor(Math.log10(low)), last = Math.ceil(Math.log10(high));
+  const apart = (found, least) => found.every((v, i) => i === 0 || (Math.log(v / found[i - 1]) / Math.log(ratio)) * pixels >= least);
   if (ratio < 5) {
-    const raw = (high - low) / 4, unit = 10 ** Math.floor(Math.log10(raw)), step = unit * [1, 2, 5, 10].find((f) => f * unit >= raw);
-    const count = Math.floor(high / step) - Math.ceil(low / step) + 1;
-    return Array.from({ length: count }, (_, i) => Number(((Math.ceil(low / step) + i) * step).toPrecision(12)));
+    const steps = [1, 2, 5, 10, 20, 50].map((f) => f * 10 ** Math.floor(Math.log10((high - low) / 10)));
+    const even = steps.map((step) => Array.from({ length: Math.floor(high / step) - Math.ceil(low / step) + 1 },
+      (_, i) => Number(((Math.ceil(low / step) + i) * step).toPrecision(12)))).filter((found) => found.length);
+    return even.find((found) => apart(found, Math.max(gap, pixels / 6))) ?? even.at(-1).slice(0, 1);
   }
-  const factors = ratio >= 1000 ? [1] : ratio >= 30 ? [1, 2, 5] : [1, 2, 3, 5, 7];
-  const every = ratio >= 1000 ? Math.ceil((last - first) / 8) : 1, found = [];
-  for (let k = first; k <= last; k++)
-    for (const f of k % every === 0 ? factors : []) {
-      const v = Number(`${f}e${k}`);
-      if (v >= low && v <= high) found.push(v);
-    }
-  return found;
+  const ticks = (factors, every) => {
+    const found = [];
+    for (let k = first; k <= last; k++)
+      for (const f of k % every === 0 ? factors : []) {
+        const v = Number(`${f}e${k}`);
+        if (v >= low && v <= high) found.push(v);
+      }
+    return found;
+  };
+  const fine = ratio >= 1000 ? [] : ratio >= 30 ? [[1, 2, 5], [1, 3]] : [[1, 2, 3, 5, 7], [1, 2, 5], [1, 3]];
+  const tried = [...fine.map((factors) => ticks(factors, 1)), ...Array.from({ length: last - first }, (_, k) => ticks([1], k + 1))];
+  return tried.find((found) => found.length && apart(found, gap)) ?? tried[0].slice(0, 1);
 };
 
 NF.tick = (v) => {
@@ -72,7 +79,7 @@ NF.chart = (host, view) => {
     return [low - pad, high + pad];
   };
   let spanX = view.x.span ?? span("x", view.x.log), spanY = view.rows ? [view.rows.length - 0.4, -0.75] : view.y.span ?? span("y", view.y.log);
-  const height = view.rows ? 30 * view.rows.length + 64 : view.height ?? Math.min(Math.max(width * 0.6, 260), 420);
+  const height = view.rows ? 36 * view.rows.length + 64 : view.height ?? Math.min(Math.max(width * 0.6, 260), 420);
   if (view.equal) {
     const inner = [width - 90, height - 70], scale = Math.max((spanX[1] - spanX[0]) / inner[0], (spanY[1] - spanY[0]) / inner[1]);
     const widen = ([a, b], n) => [(a + b - scale * n) / 2, (a + b + scale * n) / 2];
@@ -82,7 +89,7 @@ NF.chart = (host, view) => {
     stroke: ink, font, labelFont: font, label: settings.label, labelSize: 22, labelGap: 2, gap: 4,
     grid: { stroke: grid, width: 1 }, ticks: { stroke: grid, width: 1 },
     size: which === "x" ? 32 : 58, space: which === "x" ? 56 : 34,
-    ...(settings.log ? { splits: (u, i, low, high) => NF.logSplits(low, high), filter: (u, splits) => splits } : {}),
+    ...(settings.log ? { splits: (u, i, low, high) => NF.logSplits(low, high, ...(which === "x" ? [width - 84, 50] : [height - 64, 24])), filter: (u, splits) => splits } : {}),
     ...(settings.texts ? { splits: () => settings.texts.map((_, i) => i), values: () => settings.texts } : { values: (u, splits) => splits.map(NF.tick) }),
   });
   const options = {
@@ -118,8 +125,16 @@ NF.overlay = (u, series, view, look) => {
   c.beginPath();
   c.rect(box.left - 6 * ratio, box.top - 6 * ratio, box.width + 12 * ratio, box.height + 12 * ratio);
   c.clip();
-  for (const [s, one] of series.entries()) {
-    const dodge = view.rows ? 0 : (s - (series.length - 1) / 2) * 3 * ratio; // so that intervals do not hide each other
+  if (view.rows && view.x.line !== undefined) {
+    c.strokeStyle = NF.css("--ink");
+    c.lineWidth = 1.5 * ratio;
+    c.setLineDash([3 * ratio, 3 * ratio]);
+    c.beginPath();
+    c.moveTo(at(view.x.line, "x"), box.top);
+    c.lineTo(at(view.x.line, "x"), box.top + box.height);
+    c.stroke();
+  }
+  for (const one of series) {
     const { colour, marker } = look(one);
     c.strokeStyle = c.fillStyle = colour;
     c.lineWidth = 1.3 * ratio;
@@ -132,7 +147,7 @@ NF.overlay = (u, series, view, look) => {
         const ends = [one.low[i], one.high[i]].map((v) => (view.rows ? at(v > 0 || !view.x.log ? v : 1e-300, "x") : at(v > 0 || !view.y.log ? v : 1e-300, "y")));
         if (!Number.isFinite(ends[1])) ends[1] = view.rows ? box.left + box.width + 20 * ratio : box.top - 20 * ratio;
         c.beginPath();
-        if (view.rows) { c.moveTo(ends[0], py); c.lineTo(ends[1], py); } else { c.moveTo(px + dodge, ends[0]); c.lineTo(px + dodge, ends[1]); }
+        if (view.rows) { c.moveTo(ends[0], py); c.lineTo(ends[1], py); } else { c.moveTo(px, ends[0]); c.lineTo(px, ends[1]); }
         c.stroke();
       }
       if (one.bare || i % every) return;
@@ -150,7 +165,11 @@ NF.overlay = (u, series, view, look) => {
     view.rows.forEach((name, i) => {
       let text = name;
       while (text.length > 4 && c.measureText(text).width > box.width - 8 * ratio) text = text.slice(0, -2) + "…";
-      c.fillText(text, box.left + 4 * ratio, at(i, "y") - 5 * ratio);
+      const where = [text, box.left + 4 * ratio, at(i, "y") - 7 * ratio];
+      c.strokeStyle = NF.css("--paper"); // no grid line or interval crosses the text
+      c.lineWidth = 4 * ratio;
+      c.strokeText(...where);
+      c.fillText(...where);
     });
   }
   c.restore();
@@ -206,10 +225,11 @@ NF.figure = (id, controls, view) => {
   let last = null;
   const fill = () => {
     if (!details.open || !last) return;
-    const head = NF.el("tr", {}, ["method", last.rows ? "value" : last.x.label, last.rows ? "95 % interval" : last.y.label, ...(last.rows ? [] : ["95 % interval"])].map((t) => NF.el("th", { scope: "col" }, t)));
+    const ranged = last.series.some((one) => one.low), interval = ranged ? ["95 % interval"] : [];
+    const head = NF.el("tr", {}, ["method", ...(last.rows ? ["value"] : [last.x.label, last.y.label]), ...interval].map((t) => NF.el("th", { scope: "col" }, t)));
     const rows = last.series.flatMap((one) => one.x.slice(0, 100).map((x, i) => {
       const shown = last.x.texts ? last.x.texts[x] : NF.text(x), ends = one.low ? NF.range(one.low[i], one.high[i]) : "";
-      return NF.el("tr", {}, (last.rows ? [one.name, shown, ends] : [one.name, shown, NF.text(one.y[i]), ends]).map((t) => NF.el("td", {}, t)));
+      return NF.el("tr", {}, [one.name, shown, ...(last.rows ? [] : [NF.text(one.y[i])]), ...(ranged ? [ends] : [])].map((t) => NF.el("td", {}, t)));
     }));
     values.replaceChildren(NF.el("table", {}, NF.el("thead", {}, head), NF.el("tbody", {}, rows)));
   };

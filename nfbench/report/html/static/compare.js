@@ -22,12 +22,13 @@
       .sort((a, b) => (measure.log ? 1 : -1) * (measure.value[a][point] - measure.value[b][point]));
     const named = (fits) => NF.visible().filter((m) => fits(measure.value[m][point])).map((m) => d.methods[m]);
     const never = named((v) => v === "inf"), none = named((v) => v === null);
+    const bound = measure.bounded && d.bound && d.bound[point] !== null ? NF.number(d.bound[point]) : null;
     return {
       title: measure.name, rows: methods.map((m) => d.methods[m]),
       series: methods.map((m, i) => ({ method: m, name: d.methods[m], x: [NF.number(measure.value[m][point])], y: [i],
         low: pick(measure.low?.[m], [point]), high: pick(measure.high?.[m], [point]) })),
-      x: { label: measure.name, log: measure.log, include: measure.bounded && d.bound ? [NF.number(d.bound[point])] : [] }, y: { label: "method" },
-      note: [measure.bounded && d.bound && d.bound[point] !== null ? `The Cramér–Rao bound is ${NF.text(d.bound[point])} m here (root mean square over the scenes).` : "",
+      x: { label: measure.name, log: measure.log, ...(bound === null ? {} : { include: [bound], line: bound }) }, y: { label: "method" },
+      note: [bound === null ? "" : `The dashed line is the Cramér–Rao bound, ${NF.text(bound)} m (root mean square over the scenes).`,
         never.length ? `Never: ${never.join(", ")}.` : "", none.length ? `Without a value: ${none.join(", ")}.` : ""].filter(Boolean).join(" "),
     };
   };

@@ -7,7 +7,7 @@
   const misses = (table) => (table ? table.hits.reduce((sum, column, c) => sum + column.filter((h) => h < table.runs[c]).length, 0) : -1);
   state.point = d.scenes.reduce((worst, table, p) => (misses(table) > misses(d.scenes[worst]) ? p : worst), 0);
   if (d.methods.length <= 12) state.methods = 2;
-  const sets = ["the methods in the figures", "the best 25 methods", "all methods that are embedded"];
+  const sets = ["the methods in the figures", "the best 25 methods", "all methods"];
   const kinds = Object.keys(d.traces).filter((kind) => Object.keys(d.traces[kind]).length);
 
   const symbol = (table, column, row) => {
@@ -16,6 +16,20 @@
     if (failed === runs) return ["✕", "failed", "failed"];
     return hits ? ["◐", "partly", `reached in ${hits} of ${runs} runs`] : ["○", "miss", "missed"];
   };
+  // How the sources of a scene lie, as seen from the middle of the array: the smallest angle between two, and the distances.
+  const facts = (point, scene) => {
+    const truth = d.places[point]?.[scene]?.truth;
+    if (!truth || !truth.length) return null;
+    const elements = d.elements ?? [[0, 0, 0]], middle = [0, 1, 2].map((k) => elements.reduce((sum, e) => sum + e[k], 0) / elements.length);
+    const rays = truth.map((p) => p.map((v, k) => v - middle[k])), far = rays.map((r) => Math.hypot(...r));
+    const angle = (i, j) => (180 / Math.PI) * Math.acos(Math.min(Math.max(rays[i].reduce((sum, v, k) => sum + v * rays[j][k], 0) / (far[i] * far[j]), -1), 1));
+    let closest = null;
+    for (let i = 0; i < rays.length; i++)
+      for (let j = 0; j < i; j++) if (closest === null || angle(i, j) < closest) closest = angle(i, j);
+    return { closest, far: far.sort((a, b) => a - b) };
+  };
+  const factCells = (one) => [NF.el("td", {}, one && one.closest !== null ? NF.text(one.closest) : "–"),
+    NF.el("td", {}, one ? one.far.map(NF.text).join(", ") : "–")];
   const columnsOf = (table) => {
     const wanted = state.methods === 0 ? NF.slots : state.methods === 1 ? table.methods.slice(0, 25) : table.methods;
     return wanted.map((m) => table.methods.indexOf(m)).filter((c) => c >= 0);
@@ -32,21 +46,24 @@
       return;
     }
     const columns = columnsOf(table), goal = table.target || "an estimate";
+    const known = table.scenes.some((scene) => facts(state.point, scene));
     const head = NF.el("tr", {}, NF.el("th", { scope: "col" }, "scene"), NF.el("th", { scope: "col" }, `solved by, of ${table.all}`),
-      columns.map((c) => NF.el("th", { scope: "col", class: "turned" }, NF.el("span", {}, d.methods[table.methods[c]]))));
+      known ? [["closest", "pair [°]"], ["distances", "[m]"]].map((lines) => NF.el("th", { scope: "col" }, lines[0], NF.el("br"), lines[1])) : null,
+      columns.map((c) => NF.el("th", { scope: "col", class: "turned" }, NF.el("span", {}, NF.name(table.methods[c])))));
     const rows = table.scenes.map((scene, r) => NF.el("tr", {},
       NF.el("th", { scope: "row" }, NF.el("button", { type: "button", class: "link", onclick: () => { state.scene = scene; show(); detail.scrollIntoView({ block: "start" }); } }, String(scene))),
       NF.el("td", {}, NF.el("meter", { min: 0, max: table.all, value: table.solved[r], "aria-hidden": "true" }), ` ${table.solved[r]}`),
+      known ? factCells(facts(state.point, scene)) : null,
       columns.map((c) => {
         const [glyph, kind, words] = symbol(table, c, r);
         return NF.el("td", { class: `mark ${kind}`, title: `${d.methods[table.methods[c]]}, scene ${scene}: ${words}, error ${NF.text(table.error[c][r])}` },
           NF.el("span", { "aria-label": words, role: "img" }, glyph));
       })));
     const missed = columns.map((c) => [c, table.hits[c].reduce((n, h) => n + (h < table.runs[c]), 0)]);
-    const foot = NF.el("tr", {}, NF.el("th", { scope: "row", colspan: 2 }, "scenes not solved"), missed.map(([, n]) => NF.el("td", { class: "mark" }, String(n))));
+    const foot = NF.el("tr", {}, NF.el("th", { scope: "row", colspan: known ? 4 : 2 }, "scenes not solved"), missed.map(([, n]) => NF.el("td", { class: "mark" }, String(n))));
     const top = host.querySelector(".scroll")?.scrollTop ?? 0;
     host.replaceChildren(controls,
-      NF.el("p", { class: "note" }, `The hardest scene comes first. ● reached ${goal} in all runs, ◐ in some, ○ missed it, ✕ no estimate. Press a scene's number to open it.`),
+      NF.el("p", { class: "note" }, `The hardest of ${table.scenes.length} scenes comes first; scroll down for the others. ● reached ${goal} in all runs, ◐ in some, ○ missed it, ✕ no estimate. Press a scene's number to open it.`),
       NF.el("div", { class: "scroll tall", tabindex: 0, role: "region", "aria-label": "Scenes and methods" },
         NF.el("table", { class: "map" }, NF.el("thead", {}, head), NF.el("tbody", {}, rows), NF.el("tfoot", {}, foot))));
     host.querySelector(".scroll").scrollTop = top;
@@ -67,7 +84,7 @@
       text(l - 5, py(y0), NF.text(y0), "end"), text(l - 5, py(y1) + 10, NF.text(y1), "end"), NF.el("text", { transform: `translate(14 ${8 + h / 2}) rotate(-90)`, "text-anchor": "middle", "font-size": 12, fill: "currentColor" }, one.axes[1]));
     const where = `scene ${one.scene}${d.points.length > 1 ? `, ${d.points[one.point]}` : ""}`, fixed = one.unknowns > 2;
     const words = one.marks.length
-      ? `${one.name}, ${where}. Darker is better, by rank; stars are the true positions, the ring is the best point of the picture.${fixed ? ` The other ${one.unknowns - 2} unknowns are the true ones.` : ""}`
+      ? `${one.name}, ${where}. ${one.about ? `${one.about} ` : ""}Darker is better, by rank; stars are the true positions, the ring is the best point of the picture.${fixed ? ` The other ${one.unknowns - 2} unknowns are the true ones.` : ""}`
       : `${one.name}, ${where}: the objective of the first problem over two unknowns. Darker is smaller, by rank; the ring is the best point of any run.${fixed ? ` The other ${one.unknowns - 2} unknowns are those of this point.` : ""}`;
     return NF.el("figure", { class: "landscape" }, svg, NF.el("figcaption", {}, words));
   };
@@ -100,17 +117,23 @@
     const elsewhere = d.landscapes.filter((one) => one.point === state.point).map((one) => one.scene);
     const errors = NF.el("table", {}, NF.el("thead", {}, NF.el("tr", {}, ["method", d.error, "target"].map((t) => NF.el("th", { scope: "col" }, t)))),
       NF.el("tbody", {}, NF.slots.map((m) => table.methods.indexOf(m)).filter((c) => c >= 0).map((c) => NF.el("tr", {},
-        NF.el("th", { scope: "row" }, d.methods[table.methods[c]]), NF.el("td", {}, NF.text(table.error[c][row])), NF.el("td", {}, symbol(table, c, row).filter((_, k) => k !== 1).join(" "))))));
+        NF.el("th", { scope: "row" }, NF.name(table.methods[c])), NF.el("td", {}, NF.text(table.error[c][row])), NF.el("td", {}, symbol(table, c, row).filter((_, k) => k !== 1).join(" "))))));
     detail.replaceChildren(NF.el("h3", {}, `Scene ${state.scene}${d.points.length > 1 ? ` at ${d.points[state.point]}` : ""}`), controls, NF.el("div", { class: "pair" },
       NF.el("div", {}, NF.el("h4", {}, "Truth and estimates"), plane), NF.el("div", {}, NF.el("h4", {}, "Traces"), curves)), keys,
     NF.el("div", { class: "scroll" }, errors),
     lands.length ? NF.el("div", { class: "pair three" }, lands.map(picture))
       : NF.el("p", { class: "note" }, d.landscapes.length ? `There is a picture of the landscape for the scenes ${[...new Set(elsewhere)].join(", ") || "of other points"} only.` : "There is no picture of the landscape."));
-    if (place) positions(plane, place, NF.visible(), []);
+    if (place) {
+      positions(plane, place, NF.visible(), []);
+      const { closest, far } = facts(state.point, state.scene);
+      plane.append(NF.el("p", { class: "note" }, `Stars are the true positions, at ${far.map(NF.text).join(", ")} m from the array (box)${closest === null ? "" : `; the two closest are ${NF.text(closest)}° apart as seen from it`}. Marks of the methods may lie on each other; the table below has their errors.`));
+    }
     else plane.append(NF.el("p", { class: "empty" }, document.body.dataset.reason || "The positions of this scene are not in this page."));
     const kind = kinds[state.trace], lines = kind ? d.traces[kind][state.point]?.[state.scene] ?? {} : {};
     NF.chart(curves, { title: "Traces", series: NF.visible().filter((m) => lines[m]).map((m) => ({ method: m, name: d.methods[m], x: lines[m][0].map(NF.number), y: lines[m][1].map(NF.number), stepped: true })),
       x: { label: "evaluations", log: true }, y: { label: kind === "gap" ? "gap of the first problem" : d.error, log: true }, height: 380 });
+    const untraced = NF.visible().filter((m) => !lines[m]).map((m) => d.methods[m]);
+    if (untraced.length) curves.append(NF.el("p", { class: "note" }, `Without a trace: ${untraced.join(", ")}.`));
     NF.legend(keys);
     if (focused) detail.querySelector(`[data-step="${focused}"]`).focus();
     else if (selecting) detail.querySelector("select").focus();

@@ -39,7 +39,7 @@
 
   const cell = (text, sort, attributes = {}) => NF.el("td", { "data-value": Number.isFinite(sort) ? sort : sort === Infinity ? 1e308 : "", ...attributes }, text);
   const line = (row) => NF.el("tr", { class: row.best ? "best" : null },
-    NF.el("th", { scope: "row" }, row.best ? "● " : "", NF.data.methods[row.method]),
+    NF.el("th", { scope: "row" }, row.best ? "● " : "", NF.name(row.method)),
     cell(NF.percent(row.solved_share), NF.number(row.solved_share)), cell(NF.range(row.solved_low, row.solved_high, (v) => String(Math.round(100 * v))) + (row.solved_low === null ? "" : " %"), NF.number(row.solved_low)),
     cell(NF.text(row.error_ratio), NF.number(row.error_ratio)), cell(NF.range(row.ratio_low, row.ratio_high), NF.number(row.ratio_low)),
     cell(row.ert === 0 ? "–" : NF.text(row.ert), NF.number(row.ert)), cell(NF.text(row.seconds), NF.number(row.seconds)),
@@ -68,6 +68,10 @@
     }));
   });
 
+  document.querySelectorAll("tbody th, td.name").forEach((each) => { // names from the server may break at the same places
+    const method = each.childElementCount ? -1 : NF.data.methods.indexOf(each.textContent.replace("● ", ""));
+    if (method >= 0) each.replaceChildren(each.textContent.startsWith("● ") ? "● " : "", ...NF.name(method));
+  });
   document.querySelectorAll("button.copy").forEach((button) => button.addEventListener("click", async () => {
     const text = document.getElementById(button.dataset.of).textContent;
     try { await navigator.clipboard.writeText(text); button.textContent = "Copied"; } catch { button.textContent = "Select it and copy"; }
