@@ -174,3 +174,11 @@ class Scenario(Options, ABC):
         the scene's seed, and all randomness must come from it.
         """
         return self.draw(rng)
+
+    def draw_truth(self, rng: np.random.Generator, number: int) -> Instance:
+        """Draw what the scores of the scene need; its data may be missing. The default is ``draw_scene``.
+
+        It is called to score the points of stored traces. Override it if it can be drawn much faster than the data.
+        ``errors`` of the instance must be those of the scene.
+        """
+        return self.draw_scene(rng, number)

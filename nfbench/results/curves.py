@@ -14,7 +14,7 @@ from numpy import ndarray
 from nfbench.core import Instance, Status, Trace
 
 from .reader import Reader
-from .redrawing import Redrawing
+from .redrawing import UNRELATED, Redrawing
 from .references import Key, problems, proofs
 from .rows import TracedRun
 
@@ -128,7 +128,7 @@ class Curves:
         needed = "error" in self._measures or not self._is_known(self._problem[row])
         if len(run.traces) != 1 or not needed or "" in self._redrawing.reasons:
             return None
-        return self._redrawing.instance(run.swept, int(self._seed[row]))
+        return self._redrawing.truth(run.swept, int(self._seed[row]))
 
     def _error_curve(self, row: int, run: TracedRun, instance: Instance | None) -> Curve:
         final = self._final[row]
@@ -137,6 +137,9 @@ class Curves:
         if len(run.traces) == 1 and len(run.traces[0]):
             trace = run.traces[0]
             errors, reason = self._redrawing.errors(self._error, instance, run.formulation, trace, final)
+            if errors is None and reason != UNRELATED:  # the data may be needed
+                instance = self._redrawing.instance(run.swept, int(self._seed[row]))
+                errors, reason = self._redrawing.errors(self._error, instance, run.formulation, trace, final)
             if errors is not None:
                 return Curve(row, "error", trace.evaluations, trace.seconds, errors, spent)
         if run.traces and len(self._odd) < MOST_NOTES:  # without traces nothing was to be expected

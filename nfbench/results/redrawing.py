@@ -16,7 +16,9 @@ from nfbench.core import Formulation, Instance, NfbenchError, ProblemInstance, S
 from nfbench.plugins import Registry
 from nfbench.study import ErrorCollector, Resolver, load_scenarios, scene_numbers
 
-__all__ = ["Redrawing"]
+__all__ = ["UNRELATED", "Redrawing"]
+
+UNRELATED = "the estimate does not follow from the best point alone"
 
 _KEPT = 64  # scenes in memory
 _SAME = 1e-6  # relative difference of two values that are computed on different machines
@@ -35,7 +37,7 @@ class Redrawing:
 
     def __init__(self, folder: Path, manifest: Path | None = None) -> None:
         self._path = manifest or folder / "manifest.toml"
-        self._instances: OrderedDict[tuple[str, int], Instance | None] = OrderedDict()
+        self._instances: OrderedDict[tuple[str, int, bool], Instance | None] = OrderedDict()
 
     @functools.cached_property
     def reasons(self) -> dict[str, str]:
@@ -45,7 +47,14 @@ class Redrawing:
 
     def instance(self, swept: dict[str, Any], seed: int) -> Instance | None:
         """The scene with this seed at this point of the sweep; None if it cannot be redrawn."""
-        key = (_key(swept), seed)
+        return self._kept(_key(swept), seed, True)
+
+    def truth(self, swept: dict[str, Any], seed: int) -> Instance | None:
+        """What the scores of a scene need, which may lack the data; None if it cannot be redrawn."""
+        return self._kept(_key(swept), seed, False)
+
+    def _kept(self, point: str, seed: int, data: bool) -> Instance | None:
+        key = (point, seed, data)
         if key not in self._instances:
             self._instances[key] = self._drawn(*key)
             if len(self._instances) > _KEPT:
@@ -90,7 +99,7 @@ class Redrawing:
         try:
             estimates = made.estimates(instance, trace.points)
             if estimates is None:
-                return None, "the estimate does not follow from the best point alone"
+                return None, UNRELATED
             errors = np.asarray(instance.errors(measure, estimates), dtype=np.float64)
         except Exception as error:  # of a plugin, which may have changed
             return None, _short(error)
@@ -154,12 +163,13 @@ class Redrawing:
         """The numbers of the scenes by their seeds."""
         return scene_numbers(self._path)
 
-    def _drawn(self, point: str, seed: int) -> Instance | None:
+    def _drawn(self, point: str, seed: int, data: bool) -> Instance | None:
         scenario = self._scenarios[0].get(point)
         if scenario is None:
             return None
+        draw = scenario.draw_scene if data else scenario.draw_truth
         try:
-            return scenario.draw_scene(np.random.default_rng(seed), self._numbers.get(seed, 0))
+            return draw(np.random.default_rng(seed), self._numbers.get(seed, 0))
         except Exception:  # of the plugin
             return None
 

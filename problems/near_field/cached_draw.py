@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 
 __all__ = ["drawn_once"]
 
+LARGEST = 100 * 2**20  # bytes of a scene that is kept
 _last: tuple[Hashable, NearFieldInstance] | None = None  # of this process
 
 
@@ -27,14 +28,23 @@ def drawn_once(
     scenario: scenario of the scene. streams: new generators. draw: function that depends on these two alone.
 
     A copy has arrays of its own, so that a method that writes to the data of a scene does not change them for the next
-    one. All copies share the bounds of the scene.
+    one. All copies share the bounds of the scene. A scene of more than 100 MiB is not kept.
     """
     global _last
     key = (scenario, *map(_identity, streams))
     last = _last
     if last is None or last[0] != key:
-        last = _last = (key, draw(streams))
+        _last = None  # a large scene does not need room for two
+        instance = draw(streams)
+        if _bytes(instance) > LARGEST:
+            return instance
+        last = _last = (key, instance)
     return copy.deepcopy(last[1], {id(last[1].known_bounds): last[1].known_bounds})
+
+
+def _bytes(instance: NearFieldInstance) -> int:
+    arrays = [value for band in instance.bands for value in vars(band).values() if isinstance(value, np.ndarray)]
+    return sum(array.nbytes for array in arrays)
 
 
 def _identity(stream: np.random.Generator) -> Hashable:

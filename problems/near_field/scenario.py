@@ -257,6 +257,18 @@ class NearField(Scenario):
         self.warm_up()  # so that no measured time includes the compilation
         return drawn_once(self, rng.spawn(6), self._drawn)
 
+    def draw_truth(self, rng: np.random.Generator, number: int) -> NearFieldInstance:
+        """Draw the positions of the sources as ``draw`` does, and no data."""
+        lower, upper = self.box()
+        theta = self._place_sources(rng.spawn(1)[0], lower, upper)
+        manifold = self.manifolds()[0]
+        nothing = [np.zeros(shape, complex) for shape in ((manifold.elements, 0), (1, manifold.elements, 0), (0, 0))]
+        Y, H, symbols = nothing
+        snr = 10.0 ** (np.broadcast_to(self.snr_db, self.sources) / 10)
+        frame = self.array.frame(self.wavelength)
+        scene = Y, theta, manifold, lower, upper, H, symbols, snr, self.rician_k, self.gospa_cutoff_m, frame
+        return NearFieldInstance(*scene)
+
     def _drawn(self, streams: Sequence[np.random.Generator]) -> NearFieldInstance:
         for_positions, for_fading, for_symbols, for_noise, for_impairments, for_bins = streams
         lower, upper = self.box()

@@ -177,6 +177,16 @@ def test_one_source_makes_nemo_a_single_problem(tmp_path):
     assert set(frame[frame["method"] == "nemo + de"]["evaluations"]) == {1}
 
 
+def test_the_data_of_a_scene_are_drawn_where_the_estimates_need_them(tmp_path):
+    """The number of sources is estimated from the data, of which the truth of a scene has none."""
+    text = NEAR_FIELD.replace("sources = 2", "sources = 1").replace("scenes = 3", "scenes = 1")
+    estimated = text.replace('kind = "nemo"', 'kind = "nemo"\nsources = "estimate"', 1)
+    assert estimated != text
+    found = find_hits(studied(tmp_path, estimated), [Target("error", 1e3)])
+    rows = found.frame[found.frame["method"].str.startswith("nemo")]
+    assert set(rows["evaluations"]) == {1} and not any("nemo" in note for note in found.notes)
+
+
 def test_a_scene_that_is_redrawn_differently_is_not_used(near_field, tmp_path):
     """As if the scenario had changed since the study ran: the stored seeds now give other scenes."""
     other = changed(copied(near_field, tmp_path), ("UPDATE plan SET instance_seed = instance_seed + 1",))

@@ -75,6 +75,14 @@ def test_writing_to_a_scene_does_not_change_the_next_one():
     assert draw(scenario, 5).bounds() == bounds
 
 
+def test_a_large_scene_is_not_kept(monkeypatch):
+    monkeypatch.setattr(cached_draw, "LARGEST", 16 * 16 * 20 - 1)  # bytes of Y alone
+    monkeypatch.setattr(cached_draw, "_last", None)
+    first = draw(NearField(**BASE), 5)
+    assert cached_draw._last is None
+    np.testing.assert_array_equal(draw(NearField(**BASE), 5).Y, first.Y)
+
+
 def test_the_bounds_are_computed_once_for_all_copies(monkeypatch):
     scenario, calls = NearField(**BASE), []
     instance = draw(scenario, 7)
@@ -87,3 +95,13 @@ def test_a_changed_scene_has_bounds_of_its_own():
     before = instance.bounds()["crb_m"]
     louder = dataclasses.replace(instance, snr=instance.snr * 100)
     assert louder.bounds()["crb_m"] == pytest.approx(before / 10, rel=0.2)
+
+
+@pytest.mark.parametrize("name", VARIANTS)
+def test_the_truth_of_a_scene_scores_estimates_as_the_scene_does(name):
+    scenario = NearField(**BASE, **VARIANTS[name])
+    scene, truth = draw(scenario, 5), scenario.draw_truth(np.random.default_rng(5), 0)
+    estimates = np.random.default_rng(1).uniform([-1.0, 0.1], [1.0, 1.0], (50, 2, 2))
+    np.testing.assert_array_equal(truth.theta, scene.theta)
+    np.testing.assert_array_equal(truth.errors("rmse_m", estimates), scene.errors("rmse_m", estimates))
+    assert truth.Y.size == 0
