@@ -28,9 +28,12 @@ make_all() {
 }
 
 draw() {
-    local positions=()
-    [[ $1 == */positions_* ]] && positions=(--positions)
-    nfbench figure "$1" --format svg "${positions[@]}" > /dev/null
+    local options=()
+    case $1 in
+        */positions_*) options=(--positions) ;;
+        */nlos_severity) options=(--columns 2) ;;
+    esac
+    nfbench figure "$1" --format svg "${options[@]}" > /dev/null
 }
 export -f draw
 
