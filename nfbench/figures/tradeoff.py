@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Any, Literal, cast
 
 import numpy as np
 import pandas as pd
@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.transforms import Affine2D, Bbox
 from numpy import ndarray
 
 from nfbench.core import Status
@@ -33,6 +34,18 @@ RING: dict[str, Any] = {
     "markeredgewidth": 0.7,
 }
 ENDS = ("", "_low", "_high")
+NUMBER = 6  # size of the numbers of grey methods [pt]
+# where a number may stand: displacements from its point [pt], and which part of the number is there
+PLACES: tuple[tuple[float, float, Literal["left", "center", "right"]], ...] = (
+    (0, 4.5, "center"),
+    (4.5, -2, "left"),
+    (-4.5, -2, "right"),
+    (0, -9, "center"),
+    (3.5, 3, "left"),
+    (-3.5, 3, "right"),
+    (3.5, -7, "left"),
+    (-3.5, -7, "right"),
+)
 
 
 def efficient(costs: Float[ndarray, " n"], errors: Float[ndarray, " n"]) -> Bool[ndarray, " n"]:
@@ -72,10 +85,13 @@ def tradeoff_figure(study: Drawn, how: Drawing) -> Figure:
         name_y(ax, study.median_label, 1.5)
     name_x(lowest, "Median run time [s]" if axis == "seconds" else f"Median {AXIS_LABELS[axis].lower()}")
     numbers = _numbered(study, tables)
-    for ax, table in zip(axes, tables, strict=True):
-        _write_numbers(ax, table, numbers)
+    if numbers:
+        figure.draw_without_rendering()  # to know where the points are
+    written = [_write_numbers(ax, table, numbers) for ax, table in zip(axes, tables, strict=True)]
     handles = method_handles(study, joined=_swept(study), names=set(everything["method"]))
     for name, number in numbers.items():
+        if not any(name in done for done in written):
+            continue
         handles[name] = Line2D([], [], color=GREY, marker=f"${number}$", markersize=4.5, linestyle="")
     handles["Efficient"] = Line2D([], [], **RING)
     legend_below(figure, handles)
@@ -135,10 +151,28 @@ def _numbered(study: Drawn, tables: list[pd.DataFrame]) -> dict[str, int]:
     return {name: number for number, name in enumerate(dict.fromkeys(names), start=1)}
 
 
-def _write_numbers(ax: Axes, table: pd.DataFrame, numbers: dict[str, int]) -> None:
+def _write_numbers(ax: Axes, table: pd.DataFrame, numbers: dict[str, int]) -> set[str]:
+    """Write the numbers beside their points where they cover no other number; return the methods that have one."""
+    figure = cast(Figure, ax.get_figure())
+    to_points = 72 / figure.dpi
+    panel = ax.get_window_extent().transformed(Affine2D().scale(to_points))
+    taken: list[Bbox] = []
+    done = set()
     best = _efficient_of(table)
     for name, cost, error in zip(best["method"], best["cost"], best["error"], strict=True):
-        if name in numbers:
-            ax.annotate(
-                str(numbers[name]), (cost, error), (0, 4.5), textcoords="offset points", ha="center", fontsize=6
-            )
+        if name not in numbers:
+            continue
+        text = str(numbers[name])
+        width, height = 0.75 * NUMBER * len(text), 0.95 * NUMBER
+        x, y = ax.transData.transform((cost, error)) * to_points
+        for dx, dy, side in PLACES:
+            shift = {"left": 0.0, "center": width / 2, "right": width}[side]
+            box = Bbox.from_bounds(x + dx - shift, y + dy, width, height)
+            if panel.y0 <= box.y0 and box.y1 <= panel.y1 and not any(box.overlaps(other) for other in taken):
+                ax.annotate(
+                    text, (cost, error), (dx, dy), textcoords="offset points", ha=side, fontsize=NUMBER
+                )  # at the baseline
+                taken.append(box)
+                done.add(name)
+                break
+    return done

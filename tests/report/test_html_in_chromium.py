@@ -40,6 +40,8 @@ addEventListener("load", () => setTimeout(() => {
   const named = [...inside.querySelectorAll("select, input")].every((each) => each.labels.length === 1);
   say("named", named);
   say("point", find("#scene-map select").selectedOptions[0].textContent);
+  say("scene", find("#scene-map tbody th").textContent);
+  say("far", find("#scene-map tbody tr td:nth-of-type(3)").textContent);
 }, 1500));
 """
 
@@ -119,6 +121,14 @@ def test_the_table_of_scenes_opens_where_most_scenes_are_missed(folder):
     assert shares.idxmin() != shares.index[0]  # not the point that comes first anyway
     document, _ = chromium(folder, "phone.html", "--dump-dom", "--window-size=800,6000")
     assert re.search(r'data-point="([^"]*)"', document)[1] == f"SNR = {shares.idxmin():.0f} dB"
+
+
+def test_the_table_of_scenes_says_how_far_the_sources_are(folder):
+    document, _ = chromium(folder, "phone.html", "--dump-dom", "--window-size=800,6000")
+    found = dict(re.findall(r'data-(scene|far)="([^"]*)"', document))
+    positions = pd.read_csv(folder / "out" / "positions.csv").query(f"scene == {found['scene']}").iloc[0]
+    distance = np.linalg.norm(positions[["true_x_m", "true_y_m", "true_z_m"]].to_numpy(dtype=float))
+    assert float(found["far"]) == pytest.approx(distance, rel=0.01)
 
 
 def test_labels_of_logarithmic_axes_do_not_overlap(folder):

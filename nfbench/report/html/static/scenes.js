@@ -16,15 +16,14 @@
     if (failed === runs) return ["✕", "failed", "failed"];
     return hits ? ["◐", "partly", `reached in ${hits} of ${runs} runs`] : ["○", "miss", "missed"];
   };
-  // How the sources of a scene lie, as seen from the middle of the array: the smallest angle between two, and the distances.
+  // How the sources of a scene lie, as seen from the origin: the smallest angle between two, and the distances.
   const facts = (point, scene) => {
     const truth = d.places[point]?.[scene]?.truth;
     if (!truth || !truth.length) return null;
-    const elements = d.elements ?? [[0, 0, 0]], middle = [0, 1, 2].map((k) => elements.reduce((sum, e) => sum + e[k], 0) / elements.length);
-    const rays = truth.map((p) => p.map((v, k) => v - middle[k])), far = rays.map((r) => Math.hypot(...r));
-    const angle = (i, j) => (180 / Math.PI) * Math.acos(Math.min(Math.max(rays[i].reduce((sum, v, k) => sum + v * rays[j][k], 0) / (far[i] * far[j]), -1), 1));
+    const far = truth.map((p) => Math.hypot(...p));
+    const angle = (i, j) => (180 / Math.PI) * Math.acos(Math.min(Math.max(truth[i].reduce((sum, v, k) => sum + v * truth[j][k], 0) / (far[i] * far[j]), -1), 1));
     let closest = null;
-    for (let i = 0; i < rays.length; i++)
+    for (let i = 0; i < truth.length; i++)
       for (let j = 0; j < i; j++) if (closest === null || angle(i, j) < closest) closest = angle(i, j);
     return { closest, far: far.sort((a, b) => a - b) };
   };
@@ -126,7 +125,7 @@
     if (place) {
       positions(plane, place, NF.visible(), []);
       const { closest, far } = facts(state.point, state.scene);
-      plane.append(NF.el("p", { class: "note" }, `Stars are the true positions, at ${far.map(NF.text).join(", ")} m from the array (box)${closest === null ? "" : `; the two closest are ${NF.text(closest)}° apart as seen from it`}. Marks of the methods may lie on each other; the table below has their errors.`));
+      plane.append(NF.el("p", { class: "note" }, `Stars are the true positions, at ${far.map(NF.text).join(", ")} m from the origin${closest === null ? "" : `; the two closest are ${NF.text(closest)}° apart as seen from it`}. Boxes are the elements of the array. Marks of the methods may lie on each other; the table below has their errors.`));
     }
     else plane.append(NF.el("p", { class: "empty" }, document.body.dataset.reason || "The positions of this scene are not in this page."));
     const kind = kinds[state.trace], lines = kind ? d.traces[kind][state.point]?.[state.scene] ?? {} : {};
