@@ -172,6 +172,10 @@ def _words(verdict: Verdict, target: str, unit: str) -> Iterator[str]:
     at += ", the worst swept point" if at and first["worst"] != EVERYWHERE else ""
     if first["verdict"] == MISSES:
         yield f"Nothing in this study reaches {wanted}. The closest is {first['setting']}: {share}{at} ({interval})."
+        equal = [row["setting"] for row in frame.to_dict("records")[1:] if row["share"] == first["share"]]
+        if equal:
+            tied = ", ".join(equal[:3]) + (f" and {len(equal) - 3} more" if len(equal) > 3 else "")
+            yield f"The same share is reached by {tied}."
         return
     sure, likely = (int((frame["verdict"] == kind).sum()) for kind in (MEETS, LIKELY))
     if first["verdict"] == MEETS:

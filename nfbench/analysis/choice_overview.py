@@ -27,7 +27,7 @@ class Overview:
     choice: the answer without a limit. ladder: what would be recommended within round limits, up to the one that gives
     the same as no limit: ``limit`` in the unit of the choice, and ``setting``, ``verdict``, ``share`` and ``budget`` as
     in ``Choice.steps``. A limit that gives the answer of the one before, or within which no scene is solved, has no
-    row. solvers: the same in evaluations among the methods that make any, if the unit of the choice is "s" because
+    row. Limits of evaluations are for methods that make any. solvers: the same in evaluations among the methods that make any, if the unit of the choice is "s" because
     others make none. places: what would be recommended at each swept point alone: ``place`` instead of ``limit``; empty
     if there is one point.
     """
@@ -42,12 +42,13 @@ def overview(points: Mapping[str, Points], target: str, request: Request, notes:
     """Return what a study recommends for a target. The arguments are those of ``answer``."""
     choice = answer(points, target, request, notes)
     own = points[target]
-    solving = own if request.in_seconds or choice.unit == "evaluations" else _with_evaluations(own)
+    solving = own if request.in_seconds else _with_evaluations(own)
+    timed = request.in_seconds or choice.unit == "s"
     places = [(place_text(swept), *recommended_row(judge([(swept, cells)], choice.request))) for swept, cells in own]
     return Overview(
         choice,
-        _ladder(own, choice.request),
-        _ladder(solving if solving is not own else [], request),
+        _ladder(own if timed else solving, choice.request),
+        _ladder(solving if timed and solving is not own else [], request),
         pd.DataFrame(places if len(own) > 1 else [], columns=["place", *STEPS[1:]]),
     )
 

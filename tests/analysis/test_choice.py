@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from nfbench.analysis import LIKELY, MEETS, MISSES, Request, answer, cells_of, time_text
+from nfbench.analysis import LIKELY, MEETS, MISSES, Request, answer, cells_of, overview, time_text
 from nfbench.analysis.choice import budget_of, judge, price_changes, share_pvalue
 from nfbench.core import OptionError
 
@@ -113,6 +113,7 @@ def test_nothing_and_too_few_scenes_are_said():
     assert none.steps["change"].tolist() == ["half the evaluations", "twice the evaluations"]
     assert none.steps["verdict"].tolist() == [MISSES, LIKELY]
     assert none.to_dict()["methods"][0]["budget"] is None
+    assert none.sentences[1] == "The same share is reached by b."
 
 
 def test_methods_without_evaluations_are_compared_in_seconds():
@@ -120,6 +121,15 @@ def test_methods_without_evaluations_are_compared_in_seconds():
     found = answer({TARGET: cells_of(table)}, TARGET, Request(reliability=0.5))
     assert found.unit == "s" and found.recommended == "de"
     assert any("no evaluations" in note for note in found.notes)
+
+
+def test_a_limit_of_evaluations_names_no_method_that_makes_none():
+    """Nothing reaches the target often enough, so costs are in evaluations; grid makes none and has the same share."""
+    costs = {"de": [400.0] * 45 + [900.0] * 15 + [np.inf] * 20, "grid": [0.0] * 60 + [np.inf] * 20}
+    table = rows(costs, caps={"grid": 0.0})
+    found = overview({TARGET: cells_of(table)}, TARGET, Request(reliability=0.95))
+    assert found.choice.unit == "evaluations"
+    assert set(found.ladder["setting"]) == {"de"} and found.solvers.empty
 
 
 def test_the_share_is_tested_exactly():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections import Counter
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -30,6 +31,7 @@ SCRIPTS = ("uPlot.iife.min.js", "base.js", "charts.js", "compare.js", "scenes.js
 STYLES = ("uPlot.min.css", "report.css")
 MESSAGES = 200  # kinds of failures that are listed
 NAMED = 12  # scenes that a sentence lists
+VALUES = 8  # values of a swept key that it lists
 
 
 def write_html(results: Results, out: Path | None = None) -> Path:
@@ -88,6 +90,9 @@ def _context(study: Study, redrawn: Redrawn) -> dict[str, Any]:
         "methods": [printable(name) for name in study.methods],
         "points": study.points,
         "choices": choices(study),
+        "error": "the root mean square distance between the true and the estimated positions [m]"
+        if study.error == "rmse_m"
+        else f"the column {printable(study.error)} of runs.csv",
         "heads": comparison.headings(study),
         "parts": used,
         "claims": _claims(study),
@@ -178,23 +183,43 @@ def _answer(study: Study) -> dict[str, Any]:
 
 
 def _fails(study: Study, method: str) -> str:
-    """The scenes that a method does not solve, in words."""
-    missed, total, target = [], 0, ""
-    for label, each in zip(study.points, study.outcomes, strict=True):
+    """Where a method does not reach the target: by swept value, and in which scenes most often."""
+    missed: list[tuple[int, Any]] = []
+    totals: Counter[int] = Counter()
+    target = ""
+    for point, each in enumerate(study.outcomes):
         if each is None or method not in each.methods:
             continue
         i = each.methods.index(method)
-        total, target = total + len(each.scenes), each.target or target
-        missed += [(label, scene) for scene in np.array(each.scenes)[each.hits[:, i] < each.runs[i]]]
+        totals[point], target = len(each.scenes), each.target or target
+        missed += [(point, scene) for scene in np.array(each.scenes)[each.hits[:, i] < each.runs[i]]]
     goal = study.goal(target) or "an estimate"
-    single = len(study.points) == 1
+    single, total = len(study.points) == 1, totals.total()
+    scenes_ = f"{total // len(study.points)} scenes"
     if not missed:
-        scenes_ = f"{total // len(study.points)} scenes"
         where = scenes_ if single else f"{scenes_} at each of {len(study.points)} swept points"
         return f"Nowhere in this study: {method} reaches {goal} in all {where}."
-    listed = ", ".join(f"{scene}" if single else f"{scene} ({label})" for label, scene in missed[:NAMED])
-    more = f" and {len(missed) - NAMED} more" if len(missed) > NAMED else ""
-    return f"{method} misses {goal} in {len(missed)} of {total} scenes: {listed}{more}."
+    often = Counter(scene for _, scene in missed).most_common()
+    listed = ", ".join(f"{scene}" if single else f"{scene} ({count})" for scene, count in often[:NAMED])
+    more = f" and {len(often) - NAMED} more" if len(often) > NAMED else ""
+    if single:
+        return f"{method} misses {goal} in {len(missed)} of {total} scenes: {listed}{more}."
+    cases = f"{len(missed):,} of {total:,} cases ({scenes_} at each of {len(study.points)} swept points)"
+    return f"{method} misses {goal} in {cases}. {_by_value(study, missed, totals)} Scenes (points): {listed}{more}."
+
+
+def _by_value(study: Study, missed: list[tuple[int, Any]], totals: Counter[int]) -> str:
+    """How many cases are missed at each value of each swept key; of many values those with the most misses."""
+    found = []
+    for axis in study.axes:
+        misses = Counter(axis["texts"][point] for point, _ in missed)
+        of = Counter[str]()
+        for point, count in totals.items():
+            of[axis["texts"][point]] += count
+        worst = set(sorted(of, key=lambda text: -misses[text] / of[text])[:VALUES])
+        parts = [f"{misses[text]:,} of {of[text]:,} at {text}" for text in of if text in worst]
+        found.append(f"{axis['name']}: {', '.join(parts)}{', …' if len(of) > VALUES else ''}.")
+    return " ".join(found)
 
 
 def _verdicts(study: Study) -> list[tuple[str, str]]:

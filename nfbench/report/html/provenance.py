@@ -36,14 +36,18 @@ def origin(folder: Path, name: str, cpu_s: pd.Series) -> dict[str, Any]:
     environment = _environment(folder)
     git = environment.get("git") if isinstance(environment.get("git"), dict) else {}
     commit = str((git or {}).get("commit") or "")
-    changed = " with local changes, which are not in the commit" if (git or {}).get("dirty") else ""
+    warning = (
+        "The code had local changes, which are not in the commit: results may differ."
+        if (git or {}).get("dirty")
+        else ""
+    )
     rows = [(text, environment[key]) for key, text in FACTS.items() if environment.get(key) is not None]
     earlier = environment.get("earlier")
     if isinstance(earlier, list) and earlier:
         rows.append(("earlier sessions", len(earlier)))
     rows.append(("processor time of all runs", time_text(float(cpu_s.sum()))))
     if commit:
-        rows.append(("commit", commit + changed))
+        rows.append(("commit", commit))
     versions = environment.get("versions")
     versions = versions if isinstance(versions, dict) else {}
     return {
@@ -53,7 +57,8 @@ def origin(folder: Path, name: str, cpu_s: pd.Series) -> dict[str, Any]:
         if isinstance(versions, dict)
         else [],
         "command": f"nfbench run manifest.toml --out {shlex.quote('results/' + printable(name))}",
-        "commit": printable(commit[:10] + changed if commit else ""),
+        "commit": printable(commit[:10]),
+        "warning": warning if commit else "",
     }
 
 

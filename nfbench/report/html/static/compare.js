@@ -9,7 +9,7 @@
   state.measure = Math.max(d.bound ? d.measures.findIndex((m) => m.bounded) : 0, 0); // that with the bound
   const several = d.points.length > 1, counts = d.axes.map((a) => new Set(a.texts).size);
   state.axis = Math.max(counts.indexOf(Math.max(...counts)), 0);
-  const pointSelect = (name, draw) => (several ? [NF.select("Swept point", d.points, state[name], (v) => { state[name] = v; draw(); })] : []);
+  const pointSelect = (name, draw, label = "Swept point") => (several ? [NF.select(label, d.points, state[name], (v) => { state[name] = v; draw(); })] : []);
   const pick = (values, places) => (values ? places.map((p) => NF.number(values[p])) : null);
 
   // The points that differ from the chosen one in one swept key alone, in the order of their values.
@@ -49,7 +49,7 @@
   NF.figure("figure-measures", (draw) => [
     NF.select("Measure", d.measures.map((m) => m.name), state.measure, (v) => { state.measure = v; draw(); }),
     ...(several ? [NF.select("Along", [...d.axes.map((a) => a.name), "one point"], state.axis, (v) => { state.axis = v; draw(); })] : []),
-    ...(d.axes.length > 1 || state.axis === d.axes.length ? pointSelect("point", draw) : []),
+    ...(state.axis === d.axes.length ? pointSelect("point", draw) : d.axes.length > 1 ? pointSelect("point", draw, "Other values as at") : []),
   ], () => {
     const measure = d.measures[state.measure];
     return several && state.axis < d.axes.length ? lines(measure, state.axis, state.point) : dots(measure, state.point);

@@ -62,7 +62,7 @@
     const foot = NF.el("tr", {}, NF.el("th", { scope: "row", colspan: known ? 4 : 2 }, "scenes not solved"), missed.map(([, n]) => NF.el("td", { class: "mark" }, String(n))));
     const top = host.querySelector(".scroll")?.scrollTop ?? 0;
     host.replaceChildren(controls,
-      NF.el("p", { class: "note" }, `The hardest of ${table.scenes.length} scenes comes first; scroll down for the others. ● reached ${goal} in all runs, ◐ in some, ○ missed it, ✕ no estimate. Press a scene's number to open it.`),
+      NF.el("p", { class: "note" }, `The hardest of ${table.scenes.length} scenes comes first, by the share of hits and then by the median error; scroll down for the others. ● reached ${goal} in all runs, ◐ in some, ○ missed it, ✕ no estimate. Press a scene's number to open it.`),
       NF.el("div", { class: "scroll tall", tabindex: 0, role: "region", "aria-label": "Scenes and methods" },
         NF.el("table", { class: "map" }, NF.el("thead", {}, head), NF.el("tbody", {}, rows), NF.el("tfoot", {}, foot))));
     host.querySelector(".scroll").scrollTop = top;
@@ -144,7 +144,7 @@
     const number = Math.min(...Object.keys(first).map(Number));
     const cloud = Object.entries(first).filter(([s]) => Number(s) !== number).flatMap(([, place]) => place.truth);
     NF.onchange(() => positions(draw, { truth: first[number].truth, found: {} }, [], cloud));
-    document.getElementById("scene-words").textContent = `Scene ${number}${d.points.length > 1 ? ` at ${d.points[0]}` : ""}: stars are its sources, rings those of the other scenes, boxes the elements of the array.`;
+    document.getElementById("scene-words").textContent = `Scene ${number}${d.points.length > 1 ? ` at ${d.points[0]}` : ""}: stars are its sources, rings those of the other ${Object.keys(first).length - 1} scenes that this page holds, boxes the elements of the array.`;
   } else if (draw) draw.append(NF.el("p", { class: "empty" }, document.body.dataset.reason || "This scenario has no positions to show."));
   const lands = document.getElementById("scene-landscapes"), begin = d.landscapes[0];
   if (lands) lands.append(...d.landscapes.filter((one) => one.point === begin.point && one.scene === begin.scene).slice(0, 3).map(picture));
