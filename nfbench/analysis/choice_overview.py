@@ -27,8 +27,9 @@ class Overview:
     choice: the answer without a limit. ladder: what would be recommended within round limits, up to the one that gives
     the same as no limit: ``limit`` in the unit of the choice, and ``setting``, ``verdict``, ``share`` and ``budget`` as
     in ``Choice.steps``. A limit that gives the answer of the one before, or within which no scene is solved, has no
-    row. Limits of evaluations are for methods that make any. solvers: the same in evaluations among the methods that make any, if the unit of the choice is "s" because
-    others make none. places: what would be recommended at each swept point alone: ``place`` instead of ``limit``; empty
+    row. Limits of evaluations are for methods that make any. solvers: the same in evaluations among the methods that
+    make any, if the unit of the choice is "s" because others make none. places: what would be recommended at each swept
+    point alone: ``place`` instead of ``limit``; empty
     if there is one point.
     """
 

@@ -321,7 +321,7 @@ def _interval(low: float, high: float) -> str:
     if math.isnan(low):
         return ""
     first, last = number_text(low), number_text(high)
-    return f"≈ {first}" if first == last else f"{first} – {last}"
+    return f"≈ {first}" if first == last and low != high else f"{first} – {last}"
 
 
 def _percent(share: float) -> str:

@@ -4,13 +4,10 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Hashable, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from .instance import NearFieldInstance
-    from .scenario import NearField
+from .instance import NearFieldInstance
 
 __all__ = ["drawn_once"]
 
@@ -19,7 +16,7 @@ _last: tuple[Hashable, NearFieldInstance] | None = None  # of this process
 
 
 def drawn_once(
-    scenario: NearField,
+    scenario: Hashable,
     streams: Sequence[np.random.Generator],
     draw: Callable[[Sequence[np.random.Generator]], NearFieldInstance],
 ) -> NearFieldInstance:

@@ -3,6 +3,7 @@
 import io
 import json
 
+import numpy as np
 import pytest
 from conftest import BASIC
 from rich.console import Console
@@ -10,6 +11,7 @@ from rich.console import Console
 import nfbench
 from nfbench import Status, load_study
 from nfbench.report import print_comparison, print_report, shown
+from nfbench.report.terminal import _interval
 from nfbench.results import Store, compare
 from nfbench.study import RunRecord
 
@@ -77,3 +79,11 @@ def test_comparisons_print_hostile_text(text, hostile, tmp_path):
         store._db.commit()
     output = printed(print_comparison, compare(tmp_path / "a", tmp_path / "b"))
     assert shown(text).plain in output and not set(output) & {"\x1b", "\r", "\x07", "\x00", "\u202e"}
+
+
+@pytest.mark.parametrize(
+    "low, high, text",
+    [(0.9996, 1.0004, "≈ 1"), (0.5, 0.75, "0.5 – 0.75"), (0.0, 0.0, "0 – 0"), (np.nan, np.nan, "")],
+)
+def test_an_interval_of_rounded_ends_that_are_equal_is_one_number(low, high, text):
+    assert _interval(low, high) == text

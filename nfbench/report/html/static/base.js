@@ -18,7 +18,7 @@ NF.text = (v) => {
 NF.percent = (v) => (Number.isNaN(NF.number(v)) ? "–" : `${Math.round(100 * v)} %`);
 NF.range = (low, high, show = NF.text) => {
   if (Number.isNaN(NF.number(low)) || Number.isNaN(NF.number(high))) return "";
-  return show(low) === show(high) ? `≈ ${show(low)}` : `${show(low)} – ${show(high)}`;
+  return show(low) === show(high) && low !== high ? `≈ ${show(low)}` : `${show(low)} – ${show(high)}`;
 };
 
 // An element; text is set as text, never as markup.
