@@ -40,6 +40,7 @@ addEventListener("load", () => setTimeout(() => {
   const named = [...inside.querySelectorAll("select, input")].every((each) => each.labels.length === 1);
   say("named", named);
   say("point", find("#scene-map select").selectedOptions[0].textContent);
+  say("ert", [...find("#figure-ert .controls").querySelectorAll("select")].at(-1).selectedOptions[0].textContent);
   say("scene", find("#scene-map tbody th").textContent);
   say("far", find("#scene-map tbody tr td:nth-of-type(3)").textContent);
 }, 1500));
@@ -120,7 +121,8 @@ def test_the_table_of_scenes_opens_where_most_scenes_are_missed(folder):
     shares = hits.groupby("scenario.snr_db")["hits"].sum()
     assert shares.idxmin() != shares.index[0]  # not the point that comes first anyway
     document, _ = chromium(folder, "phone.html", "--dump-dom", "--window-size=800,6000")
-    assert re.search(r'data-point="([^"]*)"', document)[1] == f"SNR = {shares.idxmin():.0f} dB"
+    places = dict(re.findall(r'data-(point|ert)="([^"]*)"', document))
+    assert places["point"] == places["ert"] == f"SNR = {shares.idxmin():.0f} dB"
 
 
 def test_the_table_of_scenes_says_how_far_the_sources_are(folder):

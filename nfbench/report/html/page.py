@@ -284,7 +284,7 @@ def _number(value: Any) -> str:
 
 def _range(low: Any, high: Any) -> str:
     first, last = _number(low), _number(high)
-    return f"≈ {first}" if first == last and low != high else f"{first} – {last}"
+    return f"≈ {first}" if first == last != "0" else f"{first} – {last}"
 
 
 def _percent(value: Any) -> str:

@@ -18,7 +18,7 @@ NF.text = (v) => {
 NF.percent = (v) => (Number.isNaN(NF.number(v)) ? "–" : `${Math.round(100 * v)} %`);
 NF.range = (low, high, show = NF.text) => {
   if (Number.isNaN(NF.number(low)) || Number.isNaN(NF.number(high))) return "";
-  return show(low) === show(high) && low !== high ? `≈ ${show(low)}` : `${show(low)} – ${show(high)}`;
+  return show(low) === show(high) && low !== 0 ? `≈ ${show(low)}` : `${show(low)} – ${show(high)}`;
 };
 
 // An element; text is set as text, never as markup.
@@ -45,6 +45,10 @@ NF.select = (label, options, value, change) => {
   options.forEach((text, i) => box.append(NF.el("option", { value: i, selected: i === value }, text)));
   return NF.el("label", { class: "control" }, NF.el("span", {}, label), box);
 };
+
+// The point at which the most scenes are missed: what is shown of one point begins there.
+NF.misses = (table) => (table ? table.hits.reduce((sum, column, c) => sum + column.filter((h) => h < table.runs[c]).length, 0) : -1);
+NF.worst = NF.data.scenes.reduce((worst, table, p) => (NF.misses(table) > NF.misses(NF.data.scenes[worst]) ? p : worst), 0);
 
 // Methods: each that is shown has a slot, which decides its colour, its dashes and its marker.
 NF.slots = NF.data.shown.slice();

@@ -1,7 +1,7 @@
 // The figures that compare methods: measures, expected running times, distributions, and error against budget.
 "use strict";
 (() => {
-  const d = NF.data, state = { measure: 0, point: 0, axis: 0, ert: 0, target: 0, cost: 0, cpoint: 0, which: 0, ppoint: 0, epoint: 0 };
+  const d = NF.data, state = { measure: 0, point: NF.worst, axis: 0, ert: 0, target: 0, cost: 0, cpoint: NF.worst, which: 0, ppoint: NF.worst, epoint: NF.worst };
   const costs = Object.keys(d.distributions), costNames = { evaluations: "evaluations", seconds: "seconds" };
   // without a solver a method makes no evaluations: if that is the best one, costs are compared in seconds at first
   const idle = (m) => d.measures.some((one) => one.name === "Evaluations per run" && one.value[m].every((v) => v === 0 || v === null));

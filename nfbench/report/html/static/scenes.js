@@ -3,9 +3,7 @@
 (() => {
   const d = NF.data, host = document.getElementById("scene-map"), detail = document.getElementById("scene-detail");
   const state = { point: 0, scene: null, trace: 0, methods: 0 };
-  // At first the point at which the most scenes are missed, and all methods if they fit.
-  const misses = (table) => (table ? table.hits.reduce((sum, column, c) => sum + column.filter((h) => h < table.runs[c]).length, 0) : -1);
-  state.point = d.scenes.reduce((worst, table, p) => (misses(table) > misses(d.scenes[worst]) ? p : worst), 0);
+  state.point = NF.worst;
   if (d.methods.length <= 12) state.methods = 2;
   const sets = ["the methods in the figures", "the best 25 methods", "all methods"];
   const kinds = Object.keys(d.traces).filter((kind) => Object.keys(d.traces[kind]).length);
