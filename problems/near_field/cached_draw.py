@@ -25,7 +25,7 @@ def drawn_once(
     scenario: scenario of the scene. streams: new generators. draw: function that depends on these two alone.
 
     A copy has arrays of its own, so that a method that writes to the data of a scene does not change them for the next
-    one. All copies share the bounds of the scene. A scene of more than 100 MiB is not kept.
+    one, nor their bounds, which are those of the scene as it was drawn. A scene of more than 100 MiB is not kept.
     """
     global _last
     key = (scenario, *map(_identity, streams))
@@ -36,7 +36,9 @@ def drawn_once(
         if _bytes(instance) > LARGEST:
             return instance
         last = _last = (key, instance)
-    return copy.deepcopy(last[1], {id(last[1].known_bounds): last[1].known_bounds})
+    scene = copy.deepcopy(last[1])
+    object.__setattr__(scene, "original", last[1])
+    return scene
 
 
 def _bytes(instance: NearFieldInstance) -> int:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from functools import cached_property
 from itertools import permutations
 from typing import final
 
@@ -53,7 +54,7 @@ class NearFieldInstance(ArrayInstance):
     element_positions: true positions of the elements relative to the nominal origin [m], shape (M, 3).
     amplitude: amplitude of the line of sight over the array, "constant" or "spherical".
     correlation: correlation matrix of the symbols, shape (K, K).
-    known_bounds: the result of ``bounds``, once it is known.
+    original: the same scene as it was drawn, whose bounds are computed once for all copies; None if this is no copy.
     """
 
     Y: Complex[ndarray, "m t"]
@@ -75,7 +76,7 @@ class NearFieldInstance(ArrayInstance):
     amplitude: Amplitude = "constant"
     correlation: Complex[ndarray, "k k"] | None = None
     further: tuple[Band, ...] = ()
-    known_bounds: dict[str, float] = field(default_factory=dict, init=False, repr=False)
+    original: NearFieldInstance | None = field(default=None, init=False, repr=False)
 
     @property
     def bands(self) -> tuple[Band, ...]:
@@ -143,10 +144,9 @@ class NearFieldInstance(ArrayInstance):
 
         With a planar wavefront, from which the range cannot be estimated, there are no columns.
         """
-        if not self.known_bounds:
-            self.known_bounds.update(self._bounds())
-        return dict(self.known_bounds)
+        return dict((self.original or self)._bounds)
 
+    @cached_property
     def _bounds(self) -> dict[str, float]:
         if self.manifold.wavefront == "planar":
             return {}

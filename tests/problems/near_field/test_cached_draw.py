@@ -5,7 +5,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-import nfbench.problems.near_field.cached_draw as cached_draw
+from nfbench.problems.near_field import cached_draw, instance
+from nfbench.problems.near_field.bounds import position_bounds
 from nfbench.problems.near_field.scenario import NearField
 
 BASE = {
@@ -66,8 +67,10 @@ def test_a_generator_that_has_spawned_before_gives_another_scene():
 
 def test_writing_to_a_scene_does_not_change_the_next_one():
     scenario = NearField(**BASE)
+    bounds = draw(scenario, 5).bounds()
+    draw(scenario, 6)  # so that the bounds of the scene are not known yet
     first = draw(scenario, 5)
-    kept, bounds = first.Y.copy(), draw(scenario, 5).bounds()
+    kept = first.Y.copy()
     first.Y[:] = 0
     first.theta[:] = 1
     first.bounds()["crb_m"] = 0.0
@@ -85,9 +88,11 @@ def test_a_large_scene_is_not_kept(monkeypatch):
 
 def test_the_bounds_are_computed_once_for_all_copies(monkeypatch):
     scenario, calls = NearField(**BASE), []
-    instance = draw(scenario, 7)
-    monkeypatch.setattr(type(instance), "_bounds", lambda self: calls.append(1) or {"crb_m": 1.0})
-    assert [draw(scenario, 7).bounds() for _ in range(3)] == [{"crb_m": 1.0}] * 3 and calls == [1]
+    expected = draw(scenario, 7).bounds()
+    draw(scenario, 8)
+    monkeypatch.setattr(instance, "position_bounds", lambda *args: calls.append(1) or position_bounds(*args))
+    assert [draw(scenario, 7).bounds() for _ in range(3)] == [expected] * 3
+    assert len(calls) == 2  # the stochastic and the deterministic bounds
 
 
 def test_a_changed_scene_has_bounds_of_its_own():
