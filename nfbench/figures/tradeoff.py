@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any, Literal, cast
 
 import numpy as np
@@ -153,9 +154,6 @@ def _numbered(study: Drawn, tables: list[pd.DataFrame]) -> dict[str, int]:
 
 def _write_numbers(ax: Axes, table: pd.DataFrame, numbers: dict[str, int]) -> set[str]:
     """Write the numbers beside their points where they cover no other number; return the methods that have one."""
-    figure = cast(Figure, ax.get_figure())
-    to_points = 72 / figure.dpi
-    panel = ax.get_window_extent().transformed(Affine2D().scale(to_points))
     taken: list[Bbox] = []
     done = set()
     best = _efficient_of(table)
@@ -163,16 +161,22 @@ def _write_numbers(ax: Axes, table: pd.DataFrame, numbers: dict[str, int]) -> se
         if name not in numbers:
             continue
         text = str(numbers[name])
-        width, height = 0.75 * NUMBER * len(text), 0.95 * NUMBER
-        x, y = ax.transData.transform((cost, error)) * to_points
-        for dx, dy, side in PLACES:
-            shift = {"left": 0.0, "center": width / 2, "right": width}[side]
-            box = Bbox.from_bounds(x + dx - shift, y + dy, width, height)
-            if panel.y0 <= box.y0 and box.y1 <= panel.y1 and not any(box.overlaps(other) for other in taken):
-                ax.annotate(
-                    text, (cost, error), (dx, dy), textcoords="offset points", ha=side, fontsize=NUMBER
-                )  # at the baseline
+        for (dx, dy, side), box in zip(PLACES, _boxes(ax, (cost, error), len(text)), strict=True):
+            if box is not None and not any(box.overlaps(other) for other in taken):
+                ax.annotate(text, (cost, error), (dx, dy), textcoords="offset points", ha=side, fontsize=NUMBER)
                 taken.append(box)
                 done.add(name)
                 break
     return done
+
+
+def _boxes(ax: Axes, point: tuple[float, float], digits: int) -> Iterator[Bbox | None]:
+    """The box of a number at each place beside a point [pt]; None where it would leave the panel."""
+    to_points = 72 / cast(Figure, ax.get_figure()).dpi
+    panel = ax.get_window_extent().transformed(Affine2D().scale(to_points))
+    width, height = 0.75 * NUMBER * digits, 0.95 * NUMBER
+    x, y = ax.transData.transform(point) * to_points
+    for dx, dy, side in PLACES:
+        shift = {"left": 0.0, "center": width / 2, "right": width}[side]
+        box = Bbox.from_bounds(x + dx - shift, y + dy, width, height)
+        yield box if panel.y0 <= box.y0 and box.y1 <= panel.y1 else None
