@@ -29,8 +29,7 @@ class Overview:
     in ``Choice.steps``. A limit that gives the answer of the one before, or within which no scene is solved, has no
     row. Limits of evaluations are for methods that make any. solvers: the same in evaluations among the methods that
     make any, if the unit of the choice is "s" because others make none. places: what would be recommended at each swept
-    point alone: ``place`` instead of ``limit``; empty
-    if there is one point.
+    point alone: ``place`` instead of ``limit``; empty if there is one point.
     """
 
     choice: Choice
@@ -43,13 +42,12 @@ def overview(points: Mapping[str, Points], target: str, request: Request, notes:
     """Return what a study recommends for a target. The arguments are those of ``answer``."""
     choice = answer(points, target, request, notes)
     own = points[target]
-    solving = own if request.in_seconds else _with_evaluations(own)
-    timed = request.in_seconds or choice.unit == "s"
+    solving, timed = _with_evaluations(own), choice.request.in_seconds
     places = [(place_text(swept), *recommended_row(judge([(swept, cells)], choice.request))) for swept, cells in own]
     return Overview(
         choice,
         _ladder(own if timed else solving, choice.request),
-        _ladder(solving if timed and solving is not own else [], request),
+        _ladder(solving if timed and not request.in_seconds else [], request),
         pd.DataFrame(places if len(own) > 1 else [], columns=["place", *STEPS[1:]]),
     )
 

@@ -26,11 +26,11 @@ METHODS = 8  # rows of a table of methods
 def choices(study: Study) -> list[dict[str, Any]]:
     """The answer for each target: its sentences, tables of texts, and the command that asks for more.
 
-    A gap is that of the first problem of a formulation, so it recommends nothing if there are several formulations.
+    Nothing is recommended for a gap unless the gaps of all methods compare.
     """
-    several = study.runs["formulation"].nunique() > 1
     found = overviews(study.evidence, RELIABILITY, study.setting)
-    fit = [each for each in found if len(each.choice.frame) and not (several and each.choice.target.startswith("gap"))]
+    fit = [each for each in found if study.gaps_compare or not each.choice.target.startswith("gap")]
+    fit = [each for each in fit if len(each.choice.frame)]
     return [_shown(study, each) for each in fit[:TARGETS]]
 
 

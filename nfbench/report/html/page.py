@@ -64,9 +64,14 @@ def html_report(results: Results) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters |= {"number": _number, "range": _range, "percent": _percent, "printable": printable}
-    environment.filters |= {"share": _share}
-    environment.filters["first_sentence"] = lambda text: text.partition(". ")[0].rstrip(".") + "."
+    environment.filters |= {
+        "first_sentence": lambda text: text.partition(". ")[0].rstrip(".") + ".",
+        "number": _number,
+        "percent": _percent,
+        "printable": printable,
+        "range": _range,
+        "share": _share,
+    }
     return environment.get_template("report.html.j2").render(context)
 
 
@@ -123,7 +128,7 @@ def _data(study: Study, redrawn: Redrawn) -> tuple[dict[str, Any], list[str]]:
         notes.append(
             f"Positions and traces of single scenes are shown for {len(study.shown)} of {len(study.methods)} methods."
         )
-    if study.runs["formulation"].nunique() > 1 and any(target.startswith("gap") for target in study.targets):
+    if not study.gaps_compare and any(target.startswith("gap") for target in study.targets):
         notes.append("No method is recommended for a gap, since the gaps of different formulations cannot be compared.")
     total = sum(len(each.scenes) for each in study.outcomes if each is not None)
     if (kept := sum(map(len, chosen.values()))) < total:

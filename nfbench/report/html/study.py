@@ -143,6 +143,11 @@ class Study:
         """The labels of the targets that apply."""
         return list(dict.fromkeys(self.evidence.hits.frame["target"]))
 
+    @property
+    def gaps_compare(self) -> bool:
+        """Whether all methods have the same formulation: a gap is that of the first problem of a formulation."""
+        return self.runs["formulation"].nunique() == 1
+
     @cached_property
     def outcomes(self) -> list[Outcomes | None]:
         """The outcomes at each point; None where there are none."""
