@@ -276,7 +276,25 @@ def _truth(scene: _Scene) -> str:
         repr(score),
         "Use the same units and the same order in score and truth.",
     )
+    _truth_alone(scene, error)
     return ""
+
+
+def _truth_alone(scene: _Scene, error: str) -> None:
+    """Check that what is drawn to score traces scores as the scene does, if the scenario draws it in its own way."""
+    if type(scene.scenario).draw_truth is Scenario.draw_truth:
+        return
+    whole, alone = (
+        draw(np.random.default_rng(1), 0) for draw in (scene.scenario.draw_scene, scene.scenario.draw_truth)
+    )
+    truth = np.asarray(whole.truth())
+    expected, found = (each.errors(error, np.stack([truth, 0.9 * truth])) for each in (whole, alone))
+    need(
+        np.array_equal(found, expected, equal_nan=True),
+        f"draw_truth to give the same {error} as draw_scene",
+        f"{found} instead of {expected}",
+        "Draw the true positions first, from the same generator in both.",
+    )
 
 
 _SCENARIO: dict[str, Callable[[Any], str | None]] = {

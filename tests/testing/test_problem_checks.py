@@ -217,6 +217,15 @@ def test_a_scenario_that_breaks_a_rule_fails_its_check(scenario, check, words):
     assert words in messages[check], messages
 
 
+def test_a_scenario_whose_truth_is_drawn_alone_must_have_the_errors_of_the_scene():
+    other = drawing(Hidden)
+    type(other).draw_truth = lambda self, rng, number: self.draw(np.random.default_rng(7))
+    words = failed(scenario_checks(other, [Direct()]))["truth"]
+    assert "draw_truth to give the same error as draw_scene" in words
+    type(other).draw_truth = lambda self, rng, number: self.draw(rng)
+    assert "truth" not in failed(scenario_checks(other, [Direct()]))
+
+
 def test_a_scenario_without_a_formulation_fails_with_a_hint():
     messages = failed(scenario_checks(Fine(), []))
     hint = "Derive the instance from nfbench.ProblemInstance, which the formulation `direct` solves"
